@@ -1,0 +1,27 @@
+"""One exception tree: everything the toolkit refuses is an `ApccError` with a sentence that names the argument."""
+
+from __future__ import annotations
+
+
+class ApccError(Exception):
+    """Base of every error the toolkit raises on purpose."""
+
+
+class ShapeError(ApccError, ValueError):
+    """A tensor has the wrong shape, or shapes that do not broadcast."""
+
+
+class DtypeError(ApccError, TypeError):
+    """An argument is not a floating-point tensor, or dtypes are mixed."""
+
+
+class ValueRangeError(ApccError, ValueError):
+    """A value is outside its range: not finite, not positive, not sorted, not positive definite."""
+
+
+class ConfigError(ApccError, ValueError):
+    """A configuration names an unknown key, an unknown choice, or a value of the wrong type."""
+
+
+class DataError(ApccError, ValueError):
+    """A recording or a run folder is missing, truncated or not in the documented layout."""

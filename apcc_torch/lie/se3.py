@@ -1,0 +1,182 @@
+"""Rigid motions SE(3): hat, vee, exp, log, inverse, adjoint and the Jacobians of exp, smooth at the identity.
+
+A twist xi (..., 6) is angular first, then linear: (w, v), rad and m. A pose (..., 4, 4) is [[R, p], [0, 1]], p in m.
+J_l turns the rate of xi into the spatial velocity, hat(J_l xidot) = Tdot T^-1, and J_r(xi) = J_l(-xi) into the body
+velocity, hat(J_r xidot) = T^-1 Tdot.
+
+An analytic function f of the 6x6 matrix ad(xi) = [[W, 0], [V, W]] is [[f(W), 0], [Q, f(W)]], where Q is the derivative
+of f at W along V. That gives the 6x6 Jacobians from those of SO(3); Q is the matrix of that name in Barfoot's book.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+from torch.nn.functional import pad
+
+from apcc_torch.lie import so3
+from apcc_torch.lie.stumpff import stumpff
+from apcc_torch.shapes import batch_shape, check_tensor
+
+
+def hat(twist: Tensor) -> Tensor:
+    """The matrix (..., 4, 4) [[hat(w), v], [0, 0]] of a twist.
+
+    Args:
+        twist: (..., 6) angular (rad), linear (m).
+
+    Raises:
+        ShapeError: twist does not end in 6.
+    """
+    w, v = check_tensor("twist", twist, (6,)).split(3, dim=-1)
+    return pad(torch.cat((so3.hat(w), v.unsqueeze(-1)), dim=-1), (0, 0, 0, 1))
+
+
+def vee(matrix: Tensor) -> Tensor:
+    """The twist (..., 6) of a matrix made by `hat`.
+
+    Args:
+        matrix: (..., 4, 4).
+
+    Raises:
+        ShapeError: matrix does not end in (4, 4).
+    """
+    rotation, position = _parts(check_tensor("matrix", matrix, (4, 4)))
+    return torch.cat((so3.vee(rotation), position), dim=-1)
+
+
+def pose(rotation: Tensor, position: Tensor) -> Tensor:
+    """The matrix (..., 4, 4) [[R, p], [0, 1]].
+
+    Args:
+        rotation: (..., 3, 3).
+        position: (..., 3) m; leading dimensions broadcast with those of rotation.
+
+    Raises:
+        ShapeError: A trailing dimension is wrong, or the leading dimensions do not broadcast.
+    """
+    check_tensor("rotation", rotation, (3, 3))
+    check_tensor("position", position, (3,))
+    if rotation.shape[:-2] != position.shape[:-1]:
+        batch = batch_shape(rotation=(rotation, 2), position=(position, 1))
+        rotation, position = rotation.expand(*batch, 3, 3), position.expand(*batch, 3)
+    column = pad(position, (0, 1), value=1.0).unsqueeze(-1)
+    return torch.cat((pad(rotation, (0, 0, 0, 1)), column), dim=-1)
+
+
+def _parts(matrix: Tensor) -> tuple[Tensor, Tensor]:
+    """The blocks (..., 3, 3) and (..., 3) of the upper rows of a (..., 4, 4) matrix."""
+    rotation, column = matrix[..., :3, :].split((3, 1), dim=-1)
+    return rotation, column.squeeze(-1)
+
+
+def exp(twist: Tensor) -> Tensor:
+    """The pose (..., 4, 4) reached by moving along a constant twist for one unit of time.
+
+    Args:
+        twist: (..., 6) angular (rad), linear (m).
+
+    Raises:
+        ShapeError: twist does not end in 6.
+    """
+    w, v = check_tensor("twist", twist, (6,)).split(3, dim=-1)
+    c = stumpff(so3.squared_angle(w))
+    rotation = so3.symmetric_plus_cross(w, c.c0, c.c1, c.c2)
+    # p = J_l(w) v, with J_l = I + c_2 W + c_3 W^2.
+    cross = torch.linalg.cross(w, v)
+    position = v + c.c2 * cross + c.c3 * torch.linalg.cross(w, cross)
+    return pose(rotation, position)
+
+
+def log(transform: Tensor) -> Tensor:
+    """The twist (..., 6), angular (rad) then linear (m), of a pose; its angle is at most pi.
+
+    Its derivatives are right to second order at the identity too; at an angle of exactly pi see `so3.log`.
+
+    Args:
+        transform: (..., 4, 4).
+
+    Raises:
+        ShapeError: transform does not end in (4, 4).
+    """
+    rotation, position = _parts(check_tensor("transform", transform, (4, 4)))
+    half, k = so3.half_log(rotation)
+    # v = J_l(w)^-1 p, with J_l^-1 = I - H + k H^2.
+    cross = torch.linalg.cross(half, position)
+    v = torch.addcmul(position - cross, k, torch.linalg.cross(half, cross))
+    return torch.cat((2.0 * half, v), dim=-1)
+
+
+def inverse(transform: Tensor) -> Tensor:
+    """The inverse pose (..., 4, 4), [[R^T, -R^T p], [0, 1]].
+
+    Args:
+        transform: (..., 4, 4).
+
+    Raises:
+        ShapeError: transform does not end in (4, 4).
+    """
+    rotation, position = _parts(check_tensor("transform", transform, (4, 4)))
+    return pose(rotation.mT, -(rotation * position.unsqueeze(-1)).sum(-2))
+
+
+def adjoint(transform: Tensor) -> Tensor:
+    """Ad_T (..., 6, 6) = [[R, 0], [hat(p) R, R]]: T exp(xi) T^-1 = exp(Ad_T xi).
+
+    Args:
+        transform: (..., 4, 4).
+
+    Raises:
+        ShapeError: transform does not end in (4, 4).
+    """
+    rotation, position = _parts(check_tensor("transform", transform, (4, 4)))
+    return _block_triangular(rotation, so3.hat(position) @ rotation)
+
+
+def _block_triangular(diagonal: Tensor, lower: Tensor) -> Tensor:
+    """[[diagonal, 0], [lower, diagonal]], (..., 6, 6) from (..., 3, 3) blocks."""
+    return torch.cat((pad(diagonal, (0, 3)), torch.cat((lower, diagonal), dim=-1)), dim=-2)
+
+
+def left_jacobian(twist: Tensor) -> Tensor:
+    """J_l (..., 6, 6): the spatial velocity is J_l(xi) xidot, angular rows first.
+
+    Args:
+        twist: (..., 6) angular (rad), linear (m).
+
+    Raises:
+        ShapeError: twist does not end in 6.
+    """
+    w, v = check_tensor("twist", twist, (6,)).split(3, dim=-1)
+    c = stumpff(so3.squared_angle(w))
+    diagonal = so3.symmetric_plus_cross(w, c.c1, c.c2, c.c3)
+    # Q is the derivative of c_1 I + c_2 W + c_3 w w^T along v; c_m changes by (w . v) (m c_{m+2} - c_{m+1}).
+    p = (w * v).sum(-1, keepdim=True)
+    along = so3.symmetric_plus_cross(w, p * (c.c3 - c.c2), p * (2.0 * c.c4 - c.c3), p * (3.0 * c.c5 - c.c4))
+    outer = (c.c3 * w).unsqueeze(-1) * v.unsqueeze(-2)
+    lower = along + so3.hat(c.c2 * v) + outer + outer.mT
+    return _block_triangular(diagonal, lower)
+
+
+def right_jacobian(twist: Tensor) -> Tensor:
+    """J_r(xi) = J_l(-xi) (..., 6, 6): the body velocity is J_r(xi) xidot; see `left_jacobian`."""
+    return left_jacobian(-twist)
+
+
+def left_jacobian_inverse(twist: Tensor) -> Tensor:
+    """The inverse (..., 6, 6) of `left_jacobian`, for angles below 2 pi.
+
+    Args:
+        twist: (..., 6) angular (rad), linear (m).
+
+    Raises:
+        ShapeError: twist does not end in 6.
+    """
+    jacobian = left_jacobian(twist)
+    inverse_block = so3.left_jacobian_inverse(twist[..., :3])
+    return _block_triangular(inverse_block, -(inverse_block @ jacobian[..., 3:, :3] @ inverse_block))
+
+
+def right_jacobian_inverse(twist: Tensor) -> Tensor:
+    """The inverse (..., 6, 6) of `right_jacobian`, for angles below 2 pi; see `left_jacobian_inverse`."""
+    return left_jacobian_inverse(-twist)

@@ -1,0 +1,104 @@
+"""The one shape, dtype and value check, with the one message form, for every public operation."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from apcc_torch.errors import DtypeError, ShapeError, ValueRangeError
+
+Trailing = tuple[int | None, ...]
+
+
+def _spelled(trailing: Trailing) -> str:
+    inner = ", ".join("*" if n is None else str(n) for n in trailing)
+    return f"(..., {inner})" if trailing else "(...)"
+
+
+def check_tensor(name: str, value: Tensor, trailing: Trailing) -> Tensor:
+    """Returns `value` if it is a floating tensor whose trailing dimensions match.
+
+    Args:
+        name: The argument's name, as the caller wrote it.
+        value: The tensor to check.
+        trailing: Required trailing sizes; None matches any size.
+
+    Raises:
+        DtypeError: `value` is not a floating-point tensor.
+        ShapeError: The trailing dimensions differ: "q must have shape (..., 9), got (4, 8)".
+    """
+    if not isinstance(value, Tensor):
+        raise DtypeError(f"{name} must be a torch tensor, got {type(value).__name__}")
+    if not value.is_floating_point():
+        raise DtypeError(f"{name} must be a floating-point tensor, got {value.dtype}")
+    k = len(trailing)
+    shape = tuple(value.shape)
+    matches = len(shape) >= k and all(
+        want is None or have == want for have, want in zip(shape[len(shape) - k :], trailing, strict=True)
+    )
+    if not matches:
+        raise ShapeError(f"{name} must have shape {_spelled(trailing)}, got {shape}")
+    return value
+
+
+def check_same(**tensors: Tensor) -> None:
+    """Checks that all tensors share one dtype and one device.
+
+    Raises:
+        DtypeError: Two of them differ: "q is torch.float64 but L0 is torch.float32; give both one dtype".
+    """
+    names = list(tensors)
+    first = tensors[names[0]]
+    for other in names[1:]:
+        if tensors[other].dtype != first.dtype:
+            raise DtypeError(f"{names[0]} is {first.dtype} but {other} is {tensors[other].dtype}; give both one dtype")
+        if tensors[other].device != first.device:
+            raise DtypeError(
+                f"{names[0]} is on {first.device} but {other} is on {tensors[other].device}; move both to one device"
+            )
+
+
+def check_finite(name: str, value: Tensor) -> Tensor:
+    """Returns `value` if every entry is finite.
+
+    This reads values, so it belongs at construction and at the edge of a program, not in hot paths.
+
+    Raises:
+        ValueRangeError: An entry is NaN or infinite: "q is not finite at index (3, 1)".
+    """
+    finite = torch.isfinite(value)
+    if not bool(finite.all()):
+        index = tuple(int(i) for i in (~finite).nonzero()[0])
+        raise ValueRangeError(f"{name} is not finite at index {index}")
+    return value
+
+
+def check_positive(name: str, value: Tensor) -> Tensor:
+    """Returns `value` if every entry is finite and strictly positive.
+
+    Raises:
+        ValueRangeError: "pi must be positive, got -0.1 at index (2,)".
+    """
+    check_finite(name, value)
+    bad = value <= 0
+    if bool(bad.any()):
+        index = tuple(int(i) for i in bad.nonzero()[0])
+        raise ValueRangeError(f"{name} must be positive, got {float(value[index]):g} at index {index}")
+    return value
+
+
+def batch_shape(**leading: tuple[Tensor, int]) -> torch.Size:
+    """The broadcast of the tensors' leading dimensions.
+
+    Args:
+        **leading: name = (tensor, number of trailing dimensions that are not batch).
+
+    Raises:
+        ShapeError: They do not broadcast; the message names every argument and its batch shape.
+    """
+    shapes = {name: tensor.shape[: tensor.dim() - k] for name, (tensor, k) in leading.items()}
+    try:
+        return torch.broadcast_shapes(*shapes.values())
+    except RuntimeError as error:
+        listed = ", ".join(f"{name} {tuple(shape)}" for name, shape in shapes.items())
+        raise ShapeError(f"leading dimensions do not broadcast: {listed}") from error
