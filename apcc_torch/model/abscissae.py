@@ -1,0 +1,59 @@
+"""Algorithm 1: where material points of the real arm lie on a model whose section lengths adapt."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from apcc_torch.shapes import batch_shape, check_same, check_tensor
+
+
+def decouple(X: Tensor, pi_hat: Tensor) -> tuple[Tensor, Tensor]:
+    """Normalised abscissa and section of each material point. Algorithm 1, Eqs. (22)-(26), remark 3 [Dalenberg].
+
+    Points beyond the model's total length are attached to the tip of its last section (remark 3). A point on a
+    boundary belongs to the section that ends there. Both outputs follow pi_hat without branches; X_tilde is
+    differentiable in X and pi_hat between boundary crossings.
+
+    Args:
+        X: (..., k) material abscissae of sensors or tendon anchors on the unstrained arm, m.
+        pi_hat: (..., n_b) section rest lengths, m; leading dimensions broadcast with those of X.
+
+    Returns:
+        X_tilde (..., k), in [0, 1], and j (..., k) int64, zero-based section index.
+
+    Raises:
+        ShapeError: X or pi_hat has no trailing dimension, or the leading dimensions do not broadcast.
+        DtypeError: Their dtypes differ.
+    """
+    check_tensor("X", X, (None,))
+    check_tensor("pi_hat", pi_hat, (None,))
+    check_same(X=X, pi_hat=pi_hat)
+    batch = batch_shape(X=(X, 1), pi_hat=(pi_hat, 1))
+    X = X.expand(*batch, X.shape[-1])
+    pi_hat = pi_hat.expand(*batch, pi_hat.shape[-1])
+
+    upper = pi_hat.cumsum(-1)  # Eq. (23)
+    # Eq. (24): the first section whose end is not before X, counted as the number of ends before X.
+    j = (upper.unsqueeze(-2) < X.unsqueeze(-1)).sum(-1).clamp(max=pi_hat.shape[-1] - 1)
+    length = torch.gather(pi_hat, -1, j)
+    lower = torch.gather(upper, -1, j) - length
+    X_tilde = ((X - lower) / length).clamp(0.0, 1.0)  # Eq. (25); the clamp is remark 3
+    return X_tilde, j
+
+
+def section_fractions(X_tilde: Tensor, j: Tensor, n_sections: int) -> Tensor:
+    """How much of each section lies before a point: 1 before section j, X_tilde in it, 0 after it.
+
+    Args:
+        X_tilde: (..., k) normalised abscissa.
+        j: (..., k) int64 zero-based section index.
+        n_sections: Number of sections n_b.
+
+    Returns:
+        (..., k, n_b).
+    """
+    section = torch.arange(n_sections, device=j.device)
+    index = j.unsqueeze(-1)
+    inside = torch.where(section == index, X_tilde.unsqueeze(-1), 0.0)
+    return torch.where(section < index, 1.0, inside).to(X_tilde.dtype)

@@ -1,0 +1,326 @@
+"""Equations of motion of a soft arm of constant-curvature sections, Eqs. (33)-(38) [Dalenberg].
+
+    M(q) qddot + C(q, qdot) qdot + G(q) + D qdot + K q = tau + tau_ext
+
+Each section's mass is spread uniformly over its material and moves with it; a payload is a point mass at the tip.
+q is (dx, dy, dL) per section in rad, rad, m, so a generalized force is in N m, N m, N.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor, nn
+
+from apcc_torch.errors import ValueRangeError
+from apcc_torch.linalg import solve_spd
+from apcc_torch.model.inertia import (
+    ArmShape,
+    Bending,
+    arm_shape,
+    bending,
+    inertia_matrix,
+    moments,
+    own_momentum,
+    quadrature_nodes,
+)
+from apcc_torch.model.loads import Loads, Payload, carried_wrench, distributed_load, front
+from apcc_torch.model.motion import accelerations, generalized_force, rates
+from apcc_torch.shapes import batch_shape, check_finite, check_positive, check_same, check_tensor
+
+
+class EquationOfMotion(NamedTuple):
+    """M qddot + bias = tau - K q - D qdot.
+
+    inertia: (..., n, n) M(q).
+    bias: (..., n) C(q, qdot) qdot + G(q) less the generalized external loads.
+    """
+
+    inertia: Tensor
+    bias: Tensor
+
+
+class Energy(NamedTuple):
+    """Energies in J, each (...). potential = gravity + elastic."""
+
+    kinetic: Tensor
+    potential: Tensor
+    gravity: Tensor
+    elastic: Tensor
+
+
+class SoftArmDynamics(nn.Module):
+    """Dynamics of a batch of soft arms; parameters may differ from arm to arm through their leading dimensions.
+
+    Args:
+        lengths: (..., n_b) section rest lengths, m.
+        masses: (..., n_b) section masses, kg.
+        axial_stiffness: (..., n_b) on dL, N/m.
+        bending_stiffness: (..., n_b) on dx and dy, N m/rad.
+        damping_ratio: D = damping_ratio K, s. Used when `damping` is None.
+        damping: (..., 3 n_b) diagonal of D, N m s/rad, N m s/rad, N s/m per section.
+        base_rotation: (..., 3, 3) arm base to world; None is the identity. A hanging arm has diag(1, -1, -1).
+        gravity: Acceleration of gravity along world -z, m/s^2.
+        n_quadrature: Mass points per section.
+
+    Raises:
+        ShapeError: The parameters' shapes do not agree.
+        ValueRangeError: A length, mass or stiffness is not positive, or a damping is negative.
+    """
+
+    lengths: Tensor
+    masses: Tensor
+    stiffness_diagonal: Tensor
+    damping_diagonal: Tensor
+    base_rotation: Tensor
+    gravity_acceleration: Tensor
+    powers: Tensor
+    weights: Tensor
+    tip: Tensor
+    before: Tensor
+    batch_marker: Tensor
+
+    def __init__(
+        self,
+        lengths: Tensor,
+        masses: Tensor,
+        axial_stiffness: Tensor,
+        bending_stiffness: Tensor,
+        damping_ratio: float | Tensor = 0.0,
+        damping: Tensor | None = None,
+        base_rotation: Tensor | None = None,
+        gravity: float | Tensor = 9.81,
+        n_quadrature: int = 4,
+    ) -> None:
+        super().__init__()
+        check_positive("lengths", check_tensor("lengths", lengths, (None,)))
+        n_b = lengths.shape[-1]
+        dtype, device = lengths.dtype, lengths.device
+        given = {"masses": masses, "axial_stiffness": axial_stiffness, "bending_stiffness": bending_stiffness}
+        for name, value in given.items():
+            check_positive(name, check_tensor(name, value, (n_b,)))
+        check_same(lengths=lengths, **given)
+        if n_quadrature < 2:
+            raise ValueRangeError(f"n_quadrature must be at least 2, got {n_quadrature}")
+        if base_rotation is None:
+            base_rotation = torch.eye(3, dtype=dtype, device=device)
+        check_finite("base_rotation", check_tensor("base_rotation", base_rotation, (3, 3)))
+        bending_stiffness, axial_stiffness = torch.broadcast_tensors(bending_stiffness, axial_stiffness)
+        stiffness = torch.stack((bending_stiffness, bending_stiffness, axial_stiffness), dim=-1).flatten(-2)
+        if damping is None:
+            ratio = torch.as_tensor(damping_ratio, dtype=dtype, device=device)
+            damping = ratio.unsqueeze(-1) * stiffness
+        check_finite("damping", check_tensor("damping", damping, (3 * n_b,)))
+        if bool((damping < 0).any()):
+            raise ValueRangeError("damping must not be negative")
+        check_same(lengths=lengths, damping=damping, base_rotation=base_rotation)
+        points, weights = quadrature_nodes(n_quadrature, torch.float64)
+        powers = torch.stack([points**k for k in range(1, 7)])
+        tip = torch.zeros(n_quadrature + 1, n_b, dtype=dtype, device=device)
+        tip[-1, -1] = 1.0
+        acceleration = torch.as_tensor(gravity, dtype=dtype, device=device)
+        batch = batch_shape(
+            lengths=(lengths, 1), masses=(masses, 1), stiffness=(stiffness, 1), damping=(damping, 1),
+            base_rotation=(base_rotation, 2), gravity=(acceleration, 0),
+        )  # fmt: skip
+        self.n_sections = n_b
+        self.register_buffer("lengths", lengths)
+        self.register_buffer("masses", masses)
+        self.register_buffer("stiffness_diagonal", stiffness)
+        self.register_buffer("damping_diagonal", damping)
+        self.register_buffer("base_rotation", base_rotation)
+        self.register_buffer("gravity_acceleration", acceleration)
+        self.register_buffer("powers", powers.to(dtype=dtype, device=device))
+        self.register_buffer("batch_marker", torch.zeros(batch, dtype=dtype, device=device), persistent=False)
+        self.register_buffer("weights", weights.to(dtype=dtype, device=device))
+        self.register_buffer("tip", tip)
+        self.register_buffer("before", torch.ones(n_b, n_b, dtype=dtype, device=device).tril(-1))
+
+    @property
+    def stiffness(self) -> Tensor:
+        """K (..., n, n), diagonal: K q = dU_elastic/dq, Eq. (38) [Dalenberg]."""
+        return torch.diag_embed(self.stiffness_diagonal)
+
+    @property
+    def damping(self) -> Tensor:
+        """D (..., n, n), diagonal."""
+        return torch.diag_embed(self.damping_diagonal)
+
+    def inertia(self, q: Tensor, payload: Payload = None) -> Tensor:
+        """Inertia matrix M(q) (..., n, n), symmetric positive definite.
+
+        Args:
+            q: (..., 3 n_b) rad, rad, m.
+            payload: (...) point mass at the tip, kg.
+        """
+        (place,), masses = self._state(payload, q=q)
+        bend, base = self._bending(place)
+        sums = moments(bend, masses)
+        shape = arm_shape(bend, base, own_momentum(bend, sums))
+        return inertia_matrix(bend, shape, sums, self.before)
+
+    def gravity(self, q: Tensor, payload: Payload = None) -> Tensor:
+        """G(q) = dU_gravity/dq (..., n), Eq. (38) [Dalenberg].
+
+        Args:
+            q: (..., 3 n_b) rad, rad, m.
+            payload: (...) point mass at the tip, kg.
+        """
+        return self.static_load(q, payload)
+
+    def static_load(
+        self,
+        q: Tensor,
+        payload: Payload = None,
+        wrench: Tensor | None = None,
+        distributed: Tensor | None = None,
+        section_wrenches: Tensor | None = None,
+    ) -> Tensor:
+        """G(q) less the external loads (..., n), what tau - K q balances at rest; arguments as for `forward`."""
+        loads = Loads(wrench, distributed, section_wrenches)
+        (place,), masses = self._state(payload, loads, q=q)
+        bend, base = self._bending(place)
+        shape = arm_shape(bend, base, [])
+        # Gravity is the force that lifts every point, m g along world z, seen from the frame at the section's base.
+        forces = masses * (self.gravity_acceleration * shape.frames[2]).unsqueeze(1)
+        return self._loaded(bend, shape, forces, loads)
+
+    def bias(self, q: Tensor, qdot: Tensor, payload: Payload = None) -> Tensor:
+        """Coriolis and centrifugal forces C(q, qdot) qdot (..., n).
+
+        Args:
+            q: (..., 3 n_b) rad, rad, m.
+            qdot: (..., 3 n_b) rad/s, rad/s, m/s.
+            payload: (...) point mass at the tip, kg.
+        """
+        (place, rate), masses = self._state(payload, q=q, qdot=qdot)
+        bend, base = self._bending(place)
+        motion = rates(bend, rate, self.powers)
+        shape = arm_shape(bend, base, motion.columns)
+        forces = masses * accelerations(bend, motion, shape, rate, self.before, None)
+        return generalized_force(bend, shape, forces, self.before)
+
+    def coriolis(self, q: Tensor, qdot: Tensor, payload: Payload = None) -> Tensor:
+        """Coriolis matrix C(q, qdot) (..., n, n) from Christoffel symbols, Eqs. (36)-(37) [Dalenberg].
+
+        The symbols are symmetric in their last two indices, so they are the polar form of the quadratic map
+        b(v) = C(q, v) v, and column j of C(q, v) is (b(v + e_j) - b(v - e_j)) / 4: exact, without a derivative of M.
+
+        Args:
+            q: (..., 3 n_b) rad, rad, m.
+            qdot: (..., 3 n_b) rad/s, rad/s, m/s.
+            payload: (...) point mass at the tip, kg.
+        """
+        n = 3 * self.n_sections
+        dims = len(self._batch(payload, q=(q, 1), qdot=(qdot, 1)))
+        axes = torch.eye(n, dtype=q.dtype, device=q.device)
+        axes = torch.cat((axes, -axes)).view(2 * n, *[1] * dims, n)
+        columns = self.bias(q, qdot + axes, payload).unflatten(0, (2, n))
+        # Eqs. (36) and (37), by polarization.
+        return 0.25 * (columns[0] - columns[1]).movedim(0, -1)
+
+    def equation(
+        self,
+        q: Tensor,
+        qdot: Tensor,
+        payload: Payload = None,
+        wrench: Tensor | None = None,
+        distributed: Tensor | None = None,
+        section_wrenches: Tensor | None = None,
+    ) -> EquationOfMotion:
+        """M and C qdot + G less external loads, in one pass; the arguments are those of `forward`."""
+        loads = Loads(wrench, distributed, section_wrenches)
+        (place, rate), masses = self._state(payload, loads, q=q, qdot=qdot)
+        bend, base = self._bending(place)
+        sums = moments(bend, masses)
+        motion = rates(bend, rate, self.powers)
+        shape = arm_shape(bend, base, own_momentum(bend, sums) + motion.columns)
+        lift = self.gravity_acceleration
+        forces = masses * accelerations(bend, motion, shape, rate, self.before, lift)
+        bias = self._loaded(bend, shape, forces, loads)
+        return EquationOfMotion(inertia_matrix(bend, shape, sums, self.before), bias)
+
+    def forward(
+        self,
+        q: Tensor,
+        qdot: Tensor,
+        tau: Tensor,
+        payload: Payload = None,
+        wrench: Tensor | None = None,
+        distributed: Tensor | None = None,
+        section_wrenches: Tensor | None = None,
+    ) -> Tensor:
+        """Accelerations qddot (..., 3 n_b) from Eq. (35) [Dalenberg]; a row that cannot be solved is NaN.
+
+        Args:
+            q: (..., 3 n_b) rad, rad, m.
+            qdot: (..., 3 n_b) rad/s, rad/s, m/s.
+            tau: (..., 3 n_b) generalized actuation B u, N m, N m, N.
+            payload: (...) point mass at the tip, kg.
+            wrench: (..., 6) external torque (N m) and force (N) at the tip, world axes.
+            distributed: (..., 3) external load per material length, world axes, N/m.
+            section_wrenches: (..., n_b, 6) external torque and force at every section's tip, world axes.
+        """
+        check_tensor("tau", tau, (3 * self.n_sections,))
+        equation = self.equation(q, qdot, payload, wrench, distributed, section_wrenches)
+        # Eq. (35)
+        rhs = tau - equation.bias - self.stiffness_diagonal * q - self.damping_diagonal * qdot
+        return solve_spd(equation.inertia, rhs.unsqueeze(-1)).squeeze(-1)
+
+    def energy(self, q: Tensor, qdot: Tensor, payload: Payload = None) -> Energy:
+        """Kinetic and potential energy, J; see `Energy`. Heights are measured from the world origin.
+
+        Args:
+            q: (..., 3 n_b) rad, rad, m.
+            qdot: (..., 3 n_b) rad/s, rad/s, m/s.
+            payload: (...) point mass at the tip, kg.
+        """
+        (place, rate), masses = self._state(payload, q=q, qdot=qdot)
+        bend, base = self._bending(place)
+        sums = moments(bend, masses)
+        shape = arm_shape(bend, base, own_momentum(bend, sums))
+        inertia = inertia_matrix(bend, shape, sums, self.before)
+        velocity = rate.movedim(0, -1)
+        kinetic = 0.5 * (velocity * (inertia @ velocity.unsqueeze(-1)).squeeze(-1)).sum(-1)
+        # First moment of a section about its base: L times the momentum of its stretching column.
+        height = sums.mass * shape.bases[2] + bend.length * shape.local[2, 2]
+        gravity = self.gravity_acceleration * height.sum(0)
+        elastic = 0.5 * (self.stiffness_diagonal * q * q).sum(-1)
+        return Energy(kinetic, gravity + elastic, gravity, elastic.expand_as(gravity))
+
+    def _bending(self, place: Tensor) -> tuple[Bending, Tensor]:
+        dims = place.dim() - 1
+        return bending(place, front(self.lengths, 1, dims), self.powers), front(self.base_rotation, 2, dims)
+
+    def _loaded(self, bend: Bending, shape: ArmShape, forces: Tensor, loads: Loads) -> Tensor:
+        """Generalized force (..., n) of forces (3, K, n_b, *batch) on the points, less that of external loads."""
+        if loads.distributed is not None:
+            share = front(self.weights, 1, bend.x.dim()) * front(self.lengths, 1, bend.x.dim() - 1)
+            forces = forces - distributed_load(shape, loads.distributed, share)
+        carried = carried_wrench(shape, loads, self.before)
+        return generalized_force(bend, shape, forces, self.before, None if carried is None else -carried)
+
+    def _batch(self, payload: Payload, **tensors: tuple[Tensor, int]) -> torch.Size:
+        if isinstance(payload, Tensor):
+            tensors = tensors | {"payload": (payload, 0)}
+        return batch_shape(parameters=(self.batch_marker, 0), **tensors)
+
+    def _state(
+        self, payload: Payload, loads: Loads | None = None, **coordinates: Tensor
+    ) -> tuple[list[Tensor], Tensor]:
+        """Coordinates and point masses in the layout of `inertia`: (component, *batch) and (K, n_b, *batch)."""
+        n = 3 * self.n_sections
+        given = {name: (check_tensor(name, value, (n,)), 1) for name, value in coordinates.items()}
+        if loads is not None:
+            given |= loads.checked(self.n_sections)
+        same = {name: value for name, (value, _) in given.items()}
+        check_same(lengths=self.lengths, **same, **({"payload": payload} if isinstance(payload, Tensor) else {}))
+        batch = self._batch(payload, **given)
+        values = [v.expand(*batch, n).movedim(-1, 0).contiguous() for v in coordinates.values()]
+        dims = len(batch)
+        masses = front(self.weights, 1, dims + 1) * front(self.masses, 1, dims)
+        if payload is not None:
+            tip = front(self.tip, 2, dims)
+            masses = masses + (front(payload, 0, dims) if isinstance(payload, Tensor) else payload) * tip
+        return values, masses

@@ -1,0 +1,107 @@
+"""What happens to a tendon's force between the motor and the arm: slack and friction. Plant side only."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor, nn
+
+from apcc_torch.errors import ValueRangeError
+from apcc_torch.model.tendons import TendonRouting
+from apcc_torch.shapes import check_same, check_tensor
+
+
+def taut(u: Tensor, smoothing: float = 0.0) -> Tensor:
+    """Keeps only what a tendon can do, pull: u = -relu(-u); tension is -u.
+
+    Args:
+        u: (..., n_a) commanded forces conjugate to tendon length, N.
+        smoothing: Width of the rounded corner, N. Zero is the exact corner; a positive width is smooth to every order.
+    """
+    if smoothing == 0.0:
+        return -torch.relu(-u)
+    return -0.5 * (torch.sqrt(u * u + smoothing * smoothing) - u)
+
+
+class TendonTransmission(nn.Module):
+    """Generalized force of tendons that can go slack and rub along their way (capstan friction).
+
+    A tendon that slides towards the motor loses tension with the angle it has been bent through,
+    T(X) = T(0) exp(-mu phi(X)); one that is dragged out gains by the same factor; one at rest keeps its tension.
+
+    Args:
+        routing: Where the tendons run.
+        friction: Coefficient mu, not negative. Zero leaves tau = B u.
+        slack: Whether a pushing force is dropped; see `taut`.
+        smoothing: Rounding of the slack corner, N.
+        sliding_speed: Tendon speed at which friction is developed (tanh), m/s.
+
+    Raises:
+        ValueRangeError: A number is negative, or `sliding_speed` is not positive.
+    """
+
+    def __init__(
+        self,
+        routing: TendonRouting,
+        friction: float = 0.0,
+        slack: bool = True,
+        smoothing: float = 0.0,
+        sliding_speed: float = 1e-3,
+    ) -> None:
+        super().__init__()
+        if friction < 0.0 or smoothing < 0.0:
+            raise ValueRangeError(f"friction and smoothing must not be negative, got {friction:g} and {smoothing:g}")
+        if sliding_speed <= 0.0:
+            raise ValueRangeError(f"sliding_speed must be positive, got {sliding_speed:g}")
+        self.routing = routing
+        self.friction = friction
+        self.slack = slack
+        self.smoothing = smoothing
+        self.sliding_speed = sliding_speed
+
+    def forward(self, u: Tensor, q: Tensor, qdot: Tensor, lengths: Tensor) -> Tensor:
+        """Generalized force tau (..., 3 n_b), N m, N m, N per section.
+
+        Args:
+            u: (..., n_a) motor-side forces conjugate to tendon length, N; tension is -u.
+            q: (..., 3 n_b) rad, rad, m.
+            qdot: (..., 3 n_b) rad/s, rad/s, m/s.
+            lengths: (..., n_b) section rest lengths of the plant, m.
+        """
+        n_b = lengths.shape[-1]
+        check_tensor("u", u, (self.routing.n_tendons,))
+        check_tensor("q", q, (3 * n_b,))
+        check_tensor("qdot", qdot, (3 * n_b,))
+        check_same(u=u, q=q, qdot=qdot, lengths=lengths)
+        if self.slack:
+            u = taut(u, self.smoothing)
+        matrix = self.routing.matrix(lengths)
+        if self.friction == 0.0:
+            return (matrix @ u.unsqueeze(-1)).squeeze(-1)
+        speed = (matrix.mT @ qdot.unsqueeze(-1)).squeeze(-1)
+        # +1 while the tendon is pulled in, -1 while it is dragged out.
+        direction = torch.tanh(-speed / self.sliding_speed)
+        share = self.tension_share(q, lengths, direction)
+        rows = matrix.unflatten(-2, (n_b, 3)) * share.unsqueeze(-2)
+        return (rows.flatten(-3, -2) @ u.unsqueeze(-1)).squeeze(-1)
+
+    def tension_share(self, q: Tensor, lengths: Tensor, direction: Tensor) -> Tensor:
+        """Mean tension in each section over the tension at the motor (..., n_b, n_a).
+
+        Args:
+            q: (..., 3 n_b) rad, rad, m.
+            lengths: (..., n_b) section rest lengths, m.
+            direction: (..., n_a) +1 pulled in, -1 dragged out, between: not fully sliding.
+        """
+        bend = q.unflatten(-1, (-1, 3))[..., :2]
+        # The square root is rounded off within a microradian, so that the straight pose has a derivative.
+        angle = torch.sqrt((bend * bend).sum(-1) + 1e-12) - 1e-6
+        turned = self.routing.fractions(lengths) * angle.unsqueeze(-1)
+        before = torch.cumsum(turned, dim=-2) - turned
+        rate = self.friction * direction.unsqueeze(-2)
+        exponent = rate * turned
+        # The mean of exp(-e s) over s in [0, 1]: (1 - exp(-e)) / e, by its series near e = 0.
+        small = exponent.abs() < 1e-3
+        safe = torch.where(small, 1.0, exponent)
+        series = 1.0 - exponent * (0.5 - exponent * (1.0 / 6.0 - exponent / 24.0))
+        mean = torch.where(small, series, -torch.expm1(-safe) / safe)
+        return torch.exp(-rate * before) * mean

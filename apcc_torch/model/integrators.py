@@ -1,0 +1,302 @@
+"""Time steps for batches of arms: explicit, linearly implicit, and an adaptive reference; with a status for each row.
+
+A row that stops being finite, or leaves a bound, is frozen at its last good state; its neighbours never notice.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from apcc_torch.errors import ValueRangeError
+from apcc_torch.linalg import solve_spd
+from apcc_torch.model.dynamics import SoftArmDynamics
+from apcc_torch.model.loads import Payload
+
+Field = Callable[[Tensor, Tensor], Tensor]
+
+
+class ArmState(NamedTuple):
+    """q (..., n) rad, rad, m and qdot (..., n) rad/s, rad/s, m/s."""
+
+    q: Tensor
+    qdot: Tensor
+
+
+class Actuation(NamedTuple):
+    """A generalized force at a state and its linearization there; caller-made, e.g. tendons under a PID loop.
+
+    tau: (..., n).
+    stiffness: (..., n, n) -dtau/dq, e.g. B Kp B^T. None: zero.
+    damping: (..., n, n) -dtau/dqdot, e.g. B Kd B^T. None: zero.
+    """
+
+    tau: Tensor
+    stiffness: Tensor | None = None
+    damping: Tensor | None = None
+
+
+class Guarded(NamedTuple):
+    """A state and when each row left it: diverged_at (...) int64, -1 while the row is good."""
+
+    state: Tensor
+    diverged_at: Tensor
+
+
+def guard(previous: Tensor, proposed: Tensor, diverged_at: Tensor, step: int, bound: float = 1e3) -> Guarded:
+    """Accepts `proposed` for the rows that are finite, within `bound` and not diverged before; the others stay.
+
+    Args:
+        previous: (..., m) last good state.
+        proposed: (..., m) next state.
+        diverged_at: (...) int64, -1 for the rows that are good so far.
+        step: Index of this step, recorded for the rows that diverge now.
+        bound: Largest magnitude of any entry.
+    """
+    # NaN compares false, so this one comparison also finds what is not finite.
+    good = (proposed.abs() <= bound).all(-1)
+    running = diverged_at < 0
+    state = torch.where((good & running).unsqueeze(-1), proposed, previous)
+    return Guarded(state, torch.where(running & ~good, step, diverged_at))
+
+
+def rollout(step: Callable[[int, Tensor], Tensor], state: Tensor, n_steps: int, bound: float = 1e3) -> Guarded:
+    """Takes `n_steps` guarded steps; differentiable through the rows that stay good.
+
+    Args:
+        step: (index, state (..., m)) -> next state (..., m).
+        state: (..., m) initial state.
+        n_steps: Number of steps.
+        bound: See `guard`.
+
+    Returns:
+        The trajectory (n_steps + 1, ..., m), time first, and the step at which each row diverged, -1 if it did not.
+    """
+    diverged_at = torch.full(state.shape[:-1], -1, dtype=torch.int64, device=state.device)
+    states = [state]
+    for k in range(n_steps):
+        state, diverged_at = guard(state, step(k, state), diverged_at, k, bound)
+        states.append(state)
+    return Guarded(torch.stack(states), diverged_at)
+
+
+def rk4_step(field: Field, t: Tensor, x: Tensor, dt: float | Tensor) -> Tensor:
+    """One classical Runge-Kutta step of dx/dt = field(t, x), order 4.
+
+    Args:
+        field: (t, x) -> dx/dt.
+        t: () or (...) time, s.
+        x: (..., m) state.
+        dt: Step, s.
+    """
+    half = 0.5 * dt
+    k1 = field(t, x)
+    k2 = field(t + half, x + half * k1)
+    k3 = field(t + half, x + half * k2)
+    k4 = field(t + dt, x + dt * k3)
+    return x + (dt / 6.0) * (k1 + 2.0 * (k2 + k3) + k4)
+
+
+def _residual_force(
+    dynamics: SoftArmDynamics, state: ArmState, tau: Tensor, payload: Payload, wrench: Tensor | None
+) -> tuple[Tensor, Tensor]:
+    """M and the force tau - C qdot - G - D qdot - K q at a state."""
+    equation = dynamics.equation(state.q, state.qdot, payload, wrench)
+    force = tau - equation.bias - dynamics.stiffness_diagonal * state.q - dynamics.damping_diagonal * state.qdot
+    return equation.inertia, force
+
+
+def _implicit_terms(dynamics: SoftArmDynamics, actuation: Actuation) -> tuple[Tensor, Tensor]:
+    """Stiffness and damping (..., n, n) of the arm with its actuation."""
+    stiffness, damping = dynamics.stiffness, dynamics.damping
+    if actuation.stiffness is not None:
+        stiffness = stiffness + actuation.stiffness
+    if actuation.damping is not None:
+        damping = damping + actuation.damping
+    return stiffness, damping
+
+
+def _solve(matrix: Tensor, rhs: Tensor) -> Tensor:
+    return solve_spd(matrix, rhs.unsqueeze(-1)).squeeze(-1)
+
+
+def semi_implicit_step(
+    dynamics: SoftArmDynamics,
+    state: ArmState,
+    actuation: Actuation,
+    dt: float,
+    payload: Payload = None,
+    wrench: Tensor | None = None,
+) -> ArmState:
+    """Linearly implicit Euler in the stiff elastic, damping and actuation forces; order 1, one solve.
+
+    (M + dt D + dt^2 K) (v+ - v) = dt (force(q, v) - dt K v),  q+ = q + dt v+, with K and D those of the arm and of
+    the actuation together. Gravity and velocity forces are explicit.
+
+    Args:
+        dynamics: The arm.
+        state: Current state.
+        actuation: tau at the current state and its linearization.
+        dt: Step, s.
+        payload: (...) tip mass, kg.
+        wrench: (..., 6) external tip wrench, world axes.
+    """
+    inertia, force = _residual_force(dynamics, state, actuation.tau, payload, wrench)
+    stiffness, damping = _implicit_terms(dynamics, actuation)
+    matrix = inertia + dt * damping + (dt * dt) * stiffness
+    rhs = dt * (force - dt * (stiffness @ state.qdot.unsqueeze(-1)).squeeze(-1))
+    qdot = state.qdot + _solve(matrix, rhs)
+    return ArmState(state.q + dt * qdot, qdot)
+
+
+def rosenbrock_step(
+    dynamics: SoftArmDynamics,
+    state: ArmState,
+    actuate: Callable[[ArmState], Actuation],
+    dt: float,
+    payload: Payload = None,
+    wrench: Tensor | None = None,
+) -> ArmState:
+    """The two-stage Rosenbrock-W method ROS2, order 2 whatever the linearization leaves out; L-stable in what it holds.
+
+    k1 = (I - g dt A)^-1 dt f(x),  k2 = (I - g dt A)^-1 (dt f(x + k1) - 2 k1),  x+ = x + 3/2 k1 + 1/2 k2, with
+    g = 1 - 1/sqrt(2) and A the elastic, damping and actuation part of df/dx at M(q) of the step's start.
+
+    Args:
+        dynamics: The arm.
+        state: Current state.
+        actuate: state -> tau and its linearization; evaluated twice a step.
+        dt: Step, s.
+        payload: (...) tip mass, kg.
+        wrench: (..., 6) external tip wrench, world axes.
+    """
+    g = (1.0 - 0.5**0.5) * dt
+    actuation = actuate(state)
+    inertia, force = _residual_force(dynamics, state, actuation.tau, payload, wrench)
+    stiffness, damping = _implicit_terms(dynamics, actuation)
+    matrix = inertia + g * damping + (g * g) * stiffness
+
+    def solve(rq: Tensor, momentum: Tensor) -> ArmState:
+        """(kq, kv) of (I - g A)(kq, kv) = (rq, M^-1 momentum)."""
+        kv = _solve(matrix, momentum - g * (stiffness @ rq.unsqueeze(-1)).squeeze(-1))
+        return ArmState(rq + g * kv, kv)
+
+    k1 = solve(dt * state.qdot, dt * force)
+    middle = ArmState(state.q + k1.q, state.qdot + k1.qdot)
+    later_inertia, later_force = _residual_force(dynamics, middle, actuate(middle).tau, payload, wrench)
+    change = dt * _solve(later_inertia, later_force) - 2.0 * k1.qdot
+    k2 = solve(dt * middle.qdot - 2.0 * k1.q, (inertia @ change.unsqueeze(-1)).squeeze(-1))
+    return ArmState(state.q + 1.5 * k1.q + 0.5 * k2.q, state.qdot + 1.5 * k1.qdot + 0.5 * k2.qdot)
+
+
+# Dormand and Prince's tableau: nodes, stage rows, and the difference between the 5th and 4th order weights.
+_NODES = (0.0, 1 / 5, 3 / 10, 4 / 5, 8 / 9, 1.0, 1.0)
+_STAGES = (
+    (),
+    (1 / 5,),
+    (3 / 40, 9 / 40),
+    (44 / 45, -56 / 15, 32 / 9),
+    (19372 / 6561, -25360 / 2187, 64448 / 6561, -212 / 729),
+    (9017 / 3168, -355 / 33, 46732 / 5247, 49 / 176, -5103 / 18656),
+    (35 / 384, 0.0, 500 / 1113, 125 / 192, -2187 / 6784, 11 / 84),
+)
+_ERROR = (71 / 57600, 0.0, -71 / 16695, 71 / 1920, -17253 / 339200, 22 / 525, -1 / 40)
+
+
+class Trajectory(NamedTuple):
+    """states (T, ..., m), time first; diverged_at (...) int64, the index of the first time a row did not reach, or -1;
+    steps (...) int64 accepted steps of each row."""
+
+    states: Tensor
+    diverged_at: Tensor
+    steps: Tensor
+
+
+def dormand_prince_step(field: Field, t: Tensor, x: Tensor, h: Tensor, first: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """One embedded step: the 5th order result, its error estimate, and field at the result (the next `first`).
+
+    Args:
+        field: (t, x) -> dx/dt.
+        t: (...) time of each row, s.
+        x: (..., m).
+        h: (...) step of each row, s.
+        first: (..., m) field(t, x).
+    """
+    wide = h.unsqueeze(-1)
+    slopes = [first]
+    result = x
+    for node, row in zip(_NODES[1:], _STAGES[1:], strict=True):
+        slope = sum((a * k for a, k in zip(row, slopes, strict=True) if a != 0.0), torch.zeros_like(x))
+        result = x + wide * slope
+        slopes.append(field(t + node * h, result))
+    error = wide * sum((e * k for e, k in zip(_ERROR, slopes, strict=True) if e != 0.0), torch.zeros_like(x))
+    return result, error, slopes[-1]
+
+
+def reference(
+    field: Field,
+    x: Tensor,
+    times: Tensor,
+    rtol: float = 1e-9,
+    atol: float = 1e-11,
+    first_step: float = 1e-4,
+    max_steps: int = 1_000_000,
+    bound: float = 1e6,
+) -> Trajectory:
+    """Integrates dx/dt = field(t, x) with error control per row (Dormand-Prince 5(4)); slow and accurate.
+
+    Every row has its own time and step, and steps onto each of `times`. A row whose step size collapses or that leaves
+    `bound` is frozen at its last good state.
+
+    Args:
+        field: (t (...), x (..., m)) -> (..., m).
+        x: (..., m) state at times[0].
+        times: (T,) increasing, s.
+        rtol: Relative tolerance per step.
+        atol: Absolute tolerance per step, in the state's units.
+        first_step: First step tried, s.
+        max_steps: Attempted steps in total before the rows still running are given up.
+        bound: Largest magnitude of any entry.
+
+    Raises:
+        ValueRangeError: `times` does not increase.
+    """
+    if bool((times.diff() <= 0).any()):
+        raise ValueRangeError("times must increase")
+    rows = x.shape[:-1]
+    t = times[0].expand(rows)
+    h = torch.full(rows, first_step, dtype=x.dtype, device=x.device)
+    diverged_at = torch.full(rows, -1, dtype=torch.int64, device=x.device)
+    steps = torch.zeros(rows, dtype=torch.int64, device=x.device)
+    slope = field(t, x)
+    states = [x]
+    smallest = 1e-14 * float(times[-1] - times[0])
+    attempts = 0
+    for index in range(1, len(times)):
+        goal = times[index]
+        while bool((running := (t < goal) & (diverged_at < 0)).any()):
+            attempts += 1
+            last = t + h >= goal
+            trial = torch.where(last, goal - t, h)
+            proposed, error, after = dormand_prince_step(field, t, x, trial, slope)
+            scale = atol + rtol * torch.maximum(x.abs(), proposed.abs())
+            size = torch.sqrt(((error / scale) ** 2).mean(-1))
+            finite = (proposed.abs() <= bound).all(-1) & torch.isfinite(after).all(-1)
+            accept = running & finite & (size <= 1.0)
+            factor = (0.9 * size.clamp(min=1e-10) ** -0.2).clamp(0.2, 5.0)
+            # A step that is not finite says nothing about the error: shrink hard.
+            changed = torch.where(finite, trial * factor, 0.1 * trial)
+            # A step cut short by a goal must not make the next ones short.
+            changed = torch.where(accept & last, torch.maximum(changed, h), changed)
+            wide = accept.unsqueeze(-1)
+            x, slope = torch.where(wide, proposed, x), torch.where(wide, after, slope)
+            t = torch.where(accept, torch.where(last, goal, t + trial), t)
+            steps = steps + accept
+            h = torch.where(running, changed, h)
+            lost = running & ~accept & ((h < smallest) | (attempts >= max_steps))
+            diverged_at = torch.where(lost, index, diverged_at)
+        states.append(x)
+    return Trajectory(torch.stack(states), diverged_at, steps)
