@@ -1,0 +1,147 @@
+"""The parameter update law: rest lengths follow the part of the task error that they can explain."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor, nn
+
+from apcc_torch.control.gain import gain_matrix
+from apcc_torch.errors import ValueRangeError
+from apcc_torch.shapes import check_finite, check_same, check_tensor
+
+REGRESSORS = ("partial", "estimator_aware")
+
+
+class AdaptiveLaw(nn.Module):
+    """pi_hat_dot = -Gamma Y^T e. Eq. (15) [Dalenberg].
+
+    Which Y: the law descends V of Eq. (18) only along d(xdot_hat)/d(pi_hat). Theorem 1's Y is that derivative with q
+    held fixed ("partial"), right where q is measured without the model. Where q_bar comes from algorithm 2, q_bar
+    itself moves with pi_hat and the derivative is the total one ("estimator_aware"):
+
+        Y_total = Y(q, qdot) + d(J qdot)/dq  dq_bar/dpi,
+
+    with dq_bar/dpi from `StateFeedback.sensitivity`. The controller passes the one this law names.
+
+    Bounds, normalisation and dead zone are off by default: the law is then Eq. (15) and nothing else.
+
+    Args:
+        n_sections: Number of parameters n_b.
+        gamma: Adaptation gain Gamma, a number, a (n_b,) diagonal or (..., n_b, n_b).
+        regressor: "partial" or "estimator_aware".
+        lower: (..., n_b) smallest rest lengths, m; None for no bound.
+        upper: (..., n_b) largest rest lengths, m; None for no bound.
+        rate: Largest speed of a parameter, m/s; None for no bound. A row over it is scaled whole.
+        normalisation: nu in Gamma Y^T e / (1 + nu ||Y||_F^2), s^2; 0 for the plain law.
+        dead_zone: Position error below which a row does not adapt, m.
+        reach: How far the first i sections together reach at least, m: (n_b,), not decreasing, zeros for no bound; or a
+            number, for all sections together; None for none. The last entry at the farthest sensor's abscissa says that
+            the sensor is on the arm: where sum(pi_hat) is less, remark 3 attaches it to the model's tip, a longer
+            delta L explains it as well as a longer rest length, and no measurement tells the two apart. Entry i at the
+            abscissa of sensor i keeps a sensor in every section, without which positions alone do not determine q_bar.
+
+    Raises:
+        ValueRangeError: Gamma is not positive definite, or bounds cross or are not positive.
+    """
+
+    gamma: Tensor
+    lower: Tensor | None
+    upper: Tensor | None
+    reach: Tensor | None
+
+    def __init__(
+        self,
+        n_sections: int,
+        gamma: float | Tensor,
+        regressor: str = "estimator_aware",
+        lower: Tensor | None = None,
+        upper: Tensor | None = None,
+        rate: float | None = None,
+        normalisation: float = 0.0,
+        dead_zone: float = 0.0,
+        reach: float | Tensor | None = None,
+    ) -> None:
+        super().__init__()
+        if regressor not in REGRESSORS:
+            raise ValueRangeError(f"regressor must be one of {', '.join(REGRESSORS)}, got {regressor!r}")
+        self.register_buffer("gamma", gain_matrix("gamma", gamma, n_sections))
+        for name, value in {"normalisation": normalisation, "dead_zone": dead_zone}.items():
+            if not 0 <= value < float("inf"):
+                raise ValueRangeError(f"{name} must be zero or positive and finite, got {value}")
+        if rate is not None and not 0 < rate < float("inf"):
+            raise ValueRangeError(f"rate must be positive and finite, got {rate}")
+        for name, bound in {"lower": lower, "upper": upper}.items():
+            if bound is not None:
+                check_finite(name, check_tensor(name, bound, (n_sections,)))
+        if lower is not None and bool((lower <= 0).any()):
+            raise ValueRangeError("lower must be positive: a section cannot have no length")
+        if lower is not None and upper is not None and bool((lower >= upper).any()):
+            raise ValueRangeError("lower must be below upper for every section")
+        self.register_buffer("lower", lower)
+        self.register_buffer("upper", upper)
+        self.regressor = regressor
+        self.rate = rate
+        self.normalisation = normalisation
+        self.dead_zone = dead_zone
+        self.register_buffer("reach", None if reach is None else _cumulative_reach(reach, n_sections))
+
+    def velocity(self, Y: Tensor, e: Tensor) -> Tensor:
+        """pi_hat_dot (..., n_b), m/s, before projection. Eq. (15) [Dalenberg].
+
+        Args:
+            Y: (..., 3, n_b) regressor, 1/s.
+            e: (..., 3) position error x_d - x, m.
+        """
+        check_tensor("Y", Y, (3, self.gamma.shape[-1]))
+        check_tensor("e", e, (3,))
+        check_same(Y=Y, e=e)
+        gamma = self.gamma.to(dtype=Y.dtype, device=Y.device)
+        velocity = -(gamma @ (Y.mT @ e.unsqueeze(-1))).squeeze(-1)  # Eq. (15)
+        if self.normalisation > 0:
+            velocity = velocity / (1.0 + self.normalisation * Y.square().sum((-1, -2)).unsqueeze(-1))
+        if self.dead_zone > 0:
+            velocity = torch.where(e.norm(dim=-1, keepdim=True) > self.dead_zone, velocity, 0.0)
+        if self.rate is not None:
+            velocity = velocity / (velocity.abs().amax(-1, keepdim=True) / self.rate).clamp(min=1.0)
+        return velocity
+
+    def forward(self, pi_hat: Tensor, Y: Tensor, e: Tensor, dt: Tensor) -> Tensor:
+        """One step of the law, projected onto the bounds; (..., n_b) m.
+
+        Args:
+            pi_hat: (..., n_b) present estimate, m.
+            Y: (..., 3, n_b) regressor.
+            e: (..., 3) position error, m.
+            dt: (...) step, s.
+        """
+        check_tensor("pi_hat", pi_hat, (self.gamma.shape[-1],))
+        step = pi_hat + dt.unsqueeze(-1) * self.velocity(Y, e)
+        # A step that is not finite is not taken: one bad measurement must not lose what was learnt.
+        return self.project(torch.where(torch.isfinite(step), step, pi_hat))
+
+    def project(self, pi_hat: Tensor) -> Tensor:
+        """The nearest allowed parameters (..., n_b): bounds per section, then the reach."""
+        if self.lower is not None:
+            pi_hat = torch.maximum(pi_hat, self.lower.to(pi_hat))
+        if self.upper is not None:
+            pi_hat = torch.minimum(pi_hat, self.upper.to(pi_hat))
+        if self.reach is not None:
+            # Half-space by half-space, the projection in the norm of Gamma^-1, in which V of Eq. (18) measures: it
+            # brings pi_hat nearer to every pi that reaches as far, so the proof's V still falls.
+            gamma, reach = self.gamma.to(pi_hat), self.reach.to(pi_hat)
+            for i in range(1, pi_hat.shape[-1] + 1):
+                toward = gamma[..., :i].sum(-1)
+                missing = (reach[i - 1] - pi_hat[..., :i].sum(-1, keepdim=True)).clamp(min=0.0)
+                pi_hat = pi_hat + missing * toward / toward[..., :i].sum(-1, keepdim=True)
+        return pi_hat
+
+
+def _cumulative_reach(reach: float | Tensor, n_sections: int) -> Tensor:
+    """(n_b,) least ends of the sections, m; a number is the last one's."""
+    if not isinstance(reach, Tensor):
+        last = torch.tensor([float(reach)], dtype=torch.float64)
+        reach = torch.cat((torch.zeros(n_sections - 1, dtype=torch.float64), last))
+    check_finite("reach", check_tensor("reach", reach, (n_sections,)))
+    if bool((reach < 0).any()) or bool((reach.diff() < 0).any()) or not float(reach[-1]) > 0:
+        raise ValueRangeError(f"reach must be not negative, not decreasing and end positive, got {reach.tolist()}")
+    return reach.detach().clone()

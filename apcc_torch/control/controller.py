@@ -1,0 +1,196 @@
+"""The A-PCC controller: estimate, adapt, solve, as one pure step (state, measurement, target) -> (state, command)."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor, nn
+
+from apcc_torch.control.adaptation import AdaptiveLaw
+from apcc_torch.control.inverse_kinematics import InverseKinematics
+from apcc_torch.control.signals import Command, ControllerState, Measurement, Target
+from apcc_torch.errors import ValueRangeError
+from apcc_torch.estimation.savitzky_golay import SavitzkyGolay
+from apcc_torch.estimation.state_feedback import StateFeedback
+from apcc_torch.model.backbone import PCCBackbone
+from apcc_torch.model.tendons import TendonRouting
+from apcc_torch.shapes import batch_shape, check_same, check_tensor
+
+VELOCITIES = ("measured", "commanded")
+
+
+class APCCController(nn.Module):
+    """Adaptive inverse kinematic control with decoupled sensing and actuation. Figs. 6, 10 [Dalenberg].
+
+    One step: algorithm 2 infers q_bar with pi_hat frozen; the Savitzky-Golay filter gives its velocity; the law updates
+    pi_hat, Eq. (15); inverse kinematics gives qdot, Eq. (16); its integral q_d is mapped to tendon length changes
+    B_hat(pi_hat)^T q_d, Eq. (49). With `adaptive=False` pi_hat stays what it is: the standard controller.
+
+    The elapsed time is the difference of the measurements' stamps, so uneven or late measurements are integrated as
+    what they are. Nothing is remembered outside the state.
+
+    Args:
+        backbone: The model.
+        feedback: Algorithm 2.
+        velocity_filter: Derivative of q_bar.
+        inverse_kinematics: Eqs. (14), (16).
+        law: Eq. (15).
+        routing: Tendons; None for no tendon command.
+        adaptive: Whether the law runs.
+        velocity: qdot of the regressor: "measured", the filtered derivative of q_bar as in the paper, or "commanded",
+            the controller's own last qdot, which has neither lag nor noise but trusts the arm to follow.
+        bend_bound: Bound on every bend of q_d, rad; None for no bound.
+        elongation_bound: Bound on every elongation of q_d, m; None for no bound.
+        reference_damping: T in y = B_hat^T (q_d - T qdot_bar), s. It damps the arm's swinging, which K alone, acting
+            through an integral, excites once it exceeds twice the damping rate of the slowest mode. 0 for Eq. (49).
+        integration_limit: Longest step that is integrated, s: after a pause the controller goes on, it does not leap.
+
+    Raises:
+        ValueRangeError: A setting is out of range.
+    """
+
+    def __init__(
+        self,
+        backbone: PCCBackbone,
+        feedback: StateFeedback,
+        velocity_filter: SavitzkyGolay,
+        inverse_kinematics: InverseKinematics,
+        law: AdaptiveLaw,
+        routing: TendonRouting | None = None,
+        adaptive: bool = True,
+        velocity: str = "measured",
+        bend_bound: float | None = None,
+        elongation_bound: float | None = None,
+        reference_damping: float = 0.0,
+        integration_limit: float = 0.1,
+    ) -> None:
+        super().__init__()
+        if velocity not in VELOCITIES:
+            raise ValueRangeError(f"velocity must be one of {', '.join(VELOCITIES)}, got {velocity!r}")
+        bounds = {
+            "bend_bound": bend_bound,
+            "elongation_bound": elongation_bound,
+            "integration_limit": integration_limit,
+        }
+        for name, bound in bounds.items():
+            if bound is not None and not 0 < bound < float("inf"):
+                raise ValueRangeError(f"{name} must be positive and finite, got {bound}")
+        if not 0 <= reference_damping < float("inf"):
+            raise ValueRangeError(f"reference_damping must be zero or positive and finite, got {reference_damping}")
+        self.backbone = backbone
+        self.feedback = feedback
+        self.velocity_filter = velocity_filter
+        self.inverse_kinematics = inverse_kinematics
+        self.law = law
+        self.routing = routing
+        self.adaptive = adaptive
+        self.velocity = velocity
+        self.bend_bound = bend_bound
+        self.elongation_bound = elongation_bound
+        self.reference_damping = reference_damping
+        self.integration_limit = integration_limit
+
+    def initial_state(self, q: Tensor, pi_hat: Tensor, time: Tensor | None = None) -> ControllerState:
+        """State before the first measurement.
+
+        Args:
+            q: (..., 3 n_b) first guess of the configuration, also the first q_d.
+            pi_hat: (..., n_b) first estimates, m.
+            time: (...) s; None for 0.
+
+        Raises:
+            ShapeError, DtypeError: The arguments do not fit each other.
+        """
+        self.backbone.check(q, pi_hat)
+        batch = torch.broadcast_shapes(q.shape[:-1], pi_hat.shape[:-1])
+        q, pi_hat = q.expand(*batch, q.shape[-1]), pi_hat.expand(*batch, pi_hat.shape[-1])
+        # Stamps keep their dtype: large ones need float64 even where the arm runs in float32.
+        stamp = torch.zeros_like(q[..., 0]) if time is None else time.to(q.device).expand(batch)
+        still = torch.zeros_like(q)
+        return ControllerState(q, still, pi_hat, q, still, self.velocity_filter.initial_state(q, stamp), stamp)
+
+    def forward(
+        self, state: ControllerState, measurement: Measurement, target: Target
+    ) -> tuple[ControllerState, Command]:
+        """One control step.
+
+        Args:
+            state: From `initial_state` or the last step.
+            measurement: Sensor poses and their stamp.
+            target: Desired position and velocity.
+
+        Returns:
+            The next state, and the command of this step.
+
+        Raises:
+            ShapeError, DtypeError: The arguments do not fit each other.
+        """
+        self._check(state, measurement, target)
+        pi_hat = state.pi_hat
+        dt = (measurement.time - state.time).clamp(0.0, self.integration_limit).to(pi_hat.dtype)
+        feedback = self.feedback(state.q_bar, pi_hat, measurement.T, measurement.mask, measurement.angular_mask)
+        q_bar = feedback.q_bar
+        filtered, qdot_bar = self.velocity_filter(state.velocity_filter, q_bar, measurement.time)
+
+        x_hat, J_hat = self.backbone.tip_and_jacobian(q_bar, pi_hat)
+        e = target.x_d - self._measured_tip(measurement, x_hat)
+        qdot = self.inverse_kinematics(J_hat, e, target.xdot_d.expand_as(e), q_bar)
+        q_d = self._bounded(state.q_d + dt.unsqueeze(-1) * qdot)
+        # A step that is not finite is not taken: one bad measurement or target must not stay in the integral.
+        q_d = torch.where(torch.isfinite(q_d), q_d, state.q_d)
+        if self.adaptive:
+            seen = self.feedback.used(measurement.T, measurement.mask, measurement.angular_mask)
+            used = qdot_bar if self.velocity == "measured" else qdot
+            pi_hat = self.law(pi_hat, self.regressor(q_bar, used, pi_hat, *seen), e, dt)
+        y = None if self.routing is None else self.routing.lengths(q_d - self.reference_damping * qdot_bar, pi_hat)
+        later = ControllerState(q_bar, qdot_bar, pi_hat, q_d, qdot, filtered, measurement.time.expand_as(dt))
+        return later, Command(qdot, q_d, y, e, feedback)
+
+    @staticmethod
+    def _check(state: ControllerState, measurement: Measurement, target: Target) -> None:
+        vectors = {"target.x_d": target.x_d, "target.xdot_d": target.xdot_d}
+        if measurement.tip is not None:
+            vectors["measurement.tip"] = measurement.tip
+        for name, vector in vectors.items():
+            check_tensor(name, vector, (3,))
+        check_tensor("measurement.T", measurement.T, (None, 4, 4))
+        check_tensor("measurement.time", measurement.time, ())
+        check_same(**{"state.q_bar": state.q_bar, "measurement.T": measurement.T, **vectors})
+        leading = {name: (vector, 1) for name, vector in vectors.items()}
+        leading |= {"measurement.T": (measurement.T, 3), "measurement.time": (measurement.time, 0)}
+        batch_shape(**{"state.q_bar": (state.q_bar, 1), **leading})
+
+    def regressor(
+        self,
+        q: Tensor,
+        qdot: Tensor,
+        pi_hat: Tensor,
+        mask: Tensor | None = None,
+        angular_mask: Tensor | None = None,
+    ) -> Tensor:
+        """The regressor (..., 3, n_b) that the law names: Y of Eq. (2), or the total derivative; see `AdaptiveLaw`."""
+        Y, _ = self.backbone.regressor(q, qdot)
+        if self.law.regressor == "partial":
+            return Y
+        followed = self.feedback.sensitivity(q, pi_hat, mask, angular_mask)
+        return Y + self.backbone.tip_jacobian_rate(q, qdot, pi_hat) @ followed
+
+    def _measured_tip(self, measurement: Measurement, x_hat: Tensor) -> Tensor:
+        """The measured end effector; the model's where the measurement is masked or not finite."""
+        if measurement.tip is not None:
+            x, seen = measurement.tip, torch.isfinite(measurement.tip).all(-1)
+        else:
+            x = measurement.T[..., -1, :3, 3]
+            seen = torch.isfinite(x).all(-1)
+            if measurement.mask is not None:
+                seen = seen & measurement.mask[..., -1]
+        return torch.where(seen.unsqueeze(-1), x, x_hat)
+
+    def _bounded(self, q_d: Tensor) -> Tensor:
+        if self.bend_bound is None and self.elongation_bound is None:
+            return q_d
+        x, y, dL = q_d.unflatten(-1, (-1, 3)).unbind(-1)
+        if self.bend_bound is not None:
+            x, y = x.clamp(-self.bend_bound, self.bend_bound), y.clamp(-self.bend_bound, self.bend_bound)
+        if self.elongation_bound is not None:
+            dL = dL.clamp(-self.elongation_bound, self.elongation_bound)
+        return torch.stack((x, y, dL), dim=-1).flatten(-2)

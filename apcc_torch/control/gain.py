@@ -1,0 +1,37 @@
+"""Gain matrices: one reading of what a caller gives, one check that it is positive definite."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from apcc_torch.errors import ValueRangeError
+from apcc_torch.shapes import check_finite, check_tensor
+
+
+def gain_matrix(name: str, gain: float | Tensor, n: int) -> Tensor:
+    """A positive definite gain as (..., n, n), float64 unless a tensor says otherwise.
+
+    Args:
+        name: The argument's name, for messages.
+        gain: A number or 0-d tensor (times the identity), a (n,) diagonal, or (..., n, n) matrices.
+        n: Size.
+
+    Raises:
+        ShapeError: The tensor's shape is none of these.
+        ValueRangeError: Not finite, not symmetric, or not positive definite.
+    """
+    value = gain if isinstance(gain, Tensor) else torch.tensor(float(gain), dtype=torch.float64)
+    if value.dim() == 0:
+        value = value * torch.eye(n, dtype=value.dtype, device=value.device)
+    elif value.dim() == 1:
+        value = torch.diag_embed(check_tensor(name, value, (n,)))
+    check_tensor(name, value, (n, n))
+    check_finite(name, value)
+    asymmetry = (value - value.mT).abs().amax()
+    if float(asymmetry) > 1e-6 * float(value.abs().amax()):
+        raise ValueRangeError(f"{name} must be symmetric")
+    lowest = float(torch.linalg.eigvalsh(value).amin())
+    if lowest <= 0:
+        raise ValueRangeError(f"{name} must be positive definite, its lowest eigenvalue is {lowest:g}")
+    return value.detach().clone()

@@ -1,0 +1,108 @@
+"""The inverse kinematic controller: task velocity through a damped pseudo-inverse, elongation kept low beside it."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor, nn
+
+from apcc_torch.control.gain import gain_matrix
+from apcc_torch.errors import ValueRangeError
+from apcc_torch.linalg import damped_pseudo_inverse
+from apcc_torch.shapes import check_same, check_tensor
+
+
+def elongation_cost(q: Tensor, epsilon: float = 0.0) -> Tensor:
+    """Psi (...) = ||dL||_2, m, of configurations (..., 3 n_b). Eq. (50) [Dalenberg].
+
+    Args:
+        q: (..., 3 n_b).
+        epsilon: m. Psi = sqrt(|dL|^2 + eps^2) - eps has a gradient at dL = 0, where the printed norm has none.
+    """
+    squared = q[..., 2::3].square().sum(-1)
+    return torch.sqrt(squared + epsilon**2) - epsilon  # Eq. (50)
+
+
+def elongation_gradient(q: Tensor, epsilon: float) -> Tensor:
+    """Gradient of the smoothed `elongation_cost`, (..., 3 n_b): dL / sqrt(|dL|^2 + eps^2) on the elongations."""
+    dL = q[..., 2::3]
+    slope = dL / torch.sqrt(dL.square().sum(-1, keepdim=True) + epsilon**2)
+    zero = torch.zeros_like(slope)
+    return torch.stack((zero, zero, slope), dim=-1).flatten(-2)
+
+
+class InverseKinematics(nn.Module):
+    """qdot = J^+ (xdot_d + K e) + (I - J^+ J) grad_Psi. Eqs. (14), (16), remark 2 [Dalenberg].
+
+    Args:
+        K: Task gain, 1/s: a number, a (3,) diagonal or (..., 3, 3).
+        damping: Damping of the pseudo-inverse, m per rad: J^T (J J^T + damping^2 I)^-1. 0 for the exact one.
+        null_gain: Weight of the null-space term, m/s: grad_Psi is minus this times the unit gradient of Psi.
+        epsilon: Smoothing of Psi at dL = 0, m.
+        bend_rate: Bound on every bend's rate, rad/s; None for no bound. A row over a bound is scaled whole, which keeps
+            the direction of its task velocity.
+        length_rate: Bound on every elongation's rate, m/s; None for no bound.
+
+    Raises:
+        ValueRangeError: K is not positive definite, or a setting is negative or not finite.
+    """
+
+    K: Tensor
+
+    def __init__(
+        self,
+        K: float | Tensor = 1.0,
+        damping: float = 1e-3,
+        null_gain: float = 0.05,
+        epsilon: float = 5e-3,
+        bend_rate: float | None = None,
+        length_rate: float | None = None,
+    ) -> None:
+        super().__init__()
+        self.register_buffer("K", gain_matrix("K", K, 3))
+        for name, value in {"damping": damping, "null_gain": null_gain}.items():
+            if not 0 <= value < float("inf"):
+                raise ValueRangeError(f"{name} must be zero or positive and finite, got {value}")
+        for name, bound in {"epsilon": epsilon, "bend_rate": bend_rate, "length_rate": length_rate}.items():
+            if bound is not None and not 0 < bound < float("inf"):
+                raise ValueRangeError(f"{name} must be positive and finite, got {bound}")
+        self.damping = damping
+        self.null_gain = null_gain
+        self.epsilon = epsilon
+        self.bend_rate = bend_rate
+        self.length_rate = length_rate
+
+    def forward(self, J_hat: Tensor, e: Tensor, xdot_d: Tensor, q: Tensor) -> Tensor:
+        """Configuration velocity qdot (..., n), rad/s and m/s.
+
+        Args:
+            J_hat: (..., 3, n) tip Jacobian of the model.
+            e: (..., 3) position error x_d - x, m.
+            xdot_d: (..., 3) desired velocity, m/s.
+            q: (..., n) configuration at which Psi is lowered.
+
+        Raises:
+            ShapeError, DtypeError: The arguments do not fit each other.
+        """
+        check_tensor("J_hat", J_hat, (3, None))
+        check_tensor("e", e, (3,))
+        check_tensor("xdot_d", xdot_d, (3,))
+        check_tensor("q", q, (J_hat.shape[-1],))
+        check_same(J_hat=J_hat, e=e, xdot_d=xdot_d, q=q)
+        K = self.K.to(dtype=e.dtype, device=e.device)
+        J_pinv = damped_pseudo_inverse(J_hat, self.damping)
+        velocity = xdot_d.unsqueeze(-1) + K @ e.unsqueeze(-1)
+        descent = -self.null_gain * elongation_gradient(q, self.epsilon).unsqueeze(-1)
+        # Eq. (16), with J^+ (v - J descent) + descent for J^+ v + (I - J^+ J) descent: one product fewer.
+        qdot = (J_pinv @ (velocity - J_hat @ descent) + descent).squeeze(-1)
+        return self._bounded(qdot)
+
+    def _bounded(self, qdot: Tensor) -> Tensor:
+        if self.bend_rate is None and self.length_rate is None:
+            return qdot
+        peak = qdot.unflatten(-1, (-1, 3)).abs().amax(-2)
+        excess = torch.ones_like(peak[..., 0])
+        if self.bend_rate is not None:
+            excess = torch.maximum(excess, peak[..., :2].amax(-1) / self.bend_rate)
+        if self.length_rate is not None:
+            excess = torch.maximum(excess, peak[..., 2] / self.length_rate)
+        return qdot / excess.unsqueeze(-1)

@@ -1,0 +1,76 @@
+"""What goes into and comes out of the controller: the same in simulation, in a replay and on the arm."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from torch import Tensor
+
+from apcc_torch.estimation.savitzky_golay import SavitzkyGolayState
+from apcc_torch.estimation.state_feedback import Feedback
+
+
+class Measurement(NamedTuple):
+    """One reading of the sensors.
+
+    T: (..., k, 4, 4) sensor poses, world frame, m.
+    time: (...) stamp, s.
+    mask: (..., k) bool, False for a sensor to leave out; None for all.
+    angular_mask: (..., k) bool, False for an orientation to leave out; None for `mask`.
+    tip: (..., 3) measured end-effector position, m; None to take the last sensor's.
+    """
+
+    T: Tensor
+    time: Tensor
+    mask: Tensor | None = None
+    angular_mask: Tensor | None = None
+    tip: Tensor | None = None
+
+
+class Target(NamedTuple):
+    """Where the end effector should be.
+
+    x_d: (..., 3) desired position, world frame, m.
+    xdot_d: (..., 3) desired velocity, m/s.
+    """
+
+    x_d: Tensor
+    xdot_d: Tensor
+
+
+class Command(NamedTuple):
+    """What the controller asks for, and what it saw.
+
+    qdot: (..., 3 n_b) configuration velocity, Eq. (16), rad/s and m/s.
+    q_d: (..., 3 n_b) desired configuration, the integral of qdot.
+    y: (..., n_a) tendon length changes B_hat^T q_d, Eq. (49), m; None without tendons.
+    e: (..., 3) position error x_d - x, m.
+    feedback: What algorithm 2 returned.
+    """
+
+    qdot: Tensor
+    q_d: Tensor
+    y: Tensor | None
+    e: Tensor
+    feedback: Feedback
+
+
+class ControllerState(NamedTuple):
+    """Everything the controller remembers between steps.
+
+    q_bar: (..., 3 n_b) last inferred configuration.
+    qdot_bar: (..., 3 n_b) its filtered velocity.
+    pi_hat: (..., n_b) parameter estimates, m.
+    q_d: (..., 3 n_b) desired configuration.
+    qdot: (..., 3 n_b) last commanded velocity.
+    velocity_filter: State of the Savitzky-Golay filter.
+    time: (...) stamp of the last measurement, s.
+    """
+
+    q_bar: Tensor
+    qdot_bar: Tensor
+    pi_hat: Tensor
+    q_d: Tensor
+    qdot: Tensor
+    velocity_filter: SavitzkyGolayState
+    time: Tensor

@@ -1,0 +1,244 @@
+"""Causal Savitzky-Golay filter: a running least-squares polynomial, read at the newest time stamp.
+
+The paper estimates the configuration's rate by such a filter, its window a constant N. Here the buffer is an explicit
+state, stamps may be uneven and samples may be missing.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import torch
+from torch import Tensor, nn
+
+from apcc_torch.errors import ShapeError, ValueRangeError
+from apcc_torch.shapes import batch_shape, check_same, check_tensor
+
+
+class SavitzkyGolayState(NamedTuple):
+    """The last N samples, oldest first.
+
+    Attributes:
+        samples: Samples, shape (..., N, n); zero where not valid.
+        times: Time stamps in s, shape (..., N); also set where a sample is missing.
+        valid: Which samples count, bool, shape (..., N).
+    """
+
+    samples: Tensor
+    times: Tensor
+    valid: Tensor
+
+
+class SavitzkyGolayFit(NamedTuple):
+    """The fitted polynomial at the newest time stamp: `value` and `derivative`, shape (..., n)."""
+
+    value: Tensor
+    derivative: Tensor
+
+
+Scalar = Tensor | float
+_SHORTEST = 1e-12  # s; stamps closer than this are one
+
+
+def _times(c: Scalar, x: Scalar) -> Scalar:
+    """c x; with a constant 0 or 1 no operation is spent."""
+    if isinstance(c, float) and c in (0.0, 1.0):
+        return x if c == 1.0 else 0.0
+    return x if isinstance(x, float) and x == 0.0 else c * x
+
+
+def _plus(x: Scalar, y: Scalar) -> Scalar:
+    """x + y; with a constant 0 no operation is spent."""
+    if isinstance(x, float) and x == 0.0:
+        return y
+    return x if isinstance(y, float) and y == 0.0 else x + y
+
+
+def _fitted(name: str, x: Tensor, shape: tuple[int, ...]) -> Tensor:
+    """x, broadcast to the state's batch; most calls need no operation."""
+    if x.shape == shape:
+        return x
+    try:
+        return x.expand(shape)
+    except RuntimeError as error:
+        raise ShapeError(f"{name} of shape {tuple(x.shape)} does not fit the state's batch, {shape} wanted") from error
+
+
+def polynomial_weights(times: Tensor, valid: Tensor, order: int, derivatives: tuple[int, ...]) -> list[Tensor]:
+    """Weights that turn samples into derivatives of their least-squares polynomial at the last time stamp.
+
+    The polynomial is expanded in the polynomials p_k that are orthogonal over the valid stamps, built by Stieltjes'
+    recurrence p_k+1 = (t - a_k) p_k - b_k p_k-1. One whose norm vanishes (no more distinct stamps than its degree)
+    adds nothing, so the order falls to the number of distinct valid stamps less one by itself, without a branch or
+    a linear solve.
+
+    Args:
+        times: Stamps relative to the last, in s, last entry 0, shape (..., N).
+        valid: 1 where the sample counts, else 0, same dtype, shape (..., N).
+        order: Degree of the polynomial.
+        derivatives: Which derivatives, at most `order`, 0 for the value.
+
+    Returns:
+        One tensor of shape (..., N) per entry of `derivatives`, in 1 / s^derivative.
+    """
+    # In units of the oldest valid stamp, t runs from 1 to 0; the clamp only keeps 0 / 0 away.
+    scale = (times * valid).amin(-1, keepdim=True).clamp(max=-_SHORTEST)
+    t = times / scale
+    # The squared norm that rounding leaves of a polynomial that vanishes on every valid stamp.
+    floor = times.shape[-1] * (64 * torch.finfo(times.dtype).eps) ** 2
+    lowest, highest = min(derivatives), max(derivatives)
+    weights: list[Scalar] = [0.0] * len(derivatives)
+    p_old = p = valid  # p_k at the stamps, 0 where not valid; p_0 = 1
+    norm_old: Scalar = 1.0
+    # at[m]: the m-th derivative of p_k at t = 0; at_old: that of p_k-1.
+    at_old: list[Scalar] = [0.0] * (highest + 1)
+    at: list[Scalar] = [1.0, *at_old[1:]]
+    for degree in range(order + 1):
+        norm = (p * p if degree else p).sum(-1, keepdim=True)
+        safe = torch.threshold(norm, floor, math.inf)  # dividing by inf drops the polynomial
+        q = p / safe
+        weights = [_plus(w, _times(at[m], q)) for w, m in zip(weights, derivatives, strict=True)]
+        if degree == order:
+            break
+        tp = t * p
+        a = (tp * q).sum(-1, keepdim=True)
+        p_next = torch.addcmul(tp, a, p, value=-1)
+        b: Scalar = 0.0
+        if degree:
+            b = norm / norm_old
+            p_next = torch.addcmul(p_next, b, p_old, value=-1)
+        used = max(lowest - (order - degree - 1), 0)  # no later polynomial needs a derivative below this
+        minus_a, minus_b = -a, _times(b, -1.0)
+        at_next: list[Scalar] = [0.0] * (highest + 1)
+        for m in range(used, highest + 1):
+            risen = _times(float(m), at[m - 1]) if m else 0.0
+            at_next[m] = _plus(risen, _plus(_times(at[m], minus_a), _times(at_old[m], minus_b)))
+        p_old, p, at_old, at, norm_old = p, p_next, at, at_next, safe
+    fitted = [(w, m) for w, m in zip(weights, derivatives, strict=True) if isinstance(w, Tensor)]
+    return [w / scale**m if m > 1 else w / scale if m else w for w, m in fitted]
+
+
+class SavitzkyGolay(nn.Module):
+    """Derivative of the least-squares polynomial over the last N samples, at the newest time stamp.
+
+    With fewer than order + 1 valid samples at distinct stamps the order drops to their number less one: one sample
+    gives a zero derivative, two their slope. A sample that is not finite counts as missing. Where the newest samples
+    are missing, the polynomial is extrapolated to the given stamp; once no valid sample is left the result is 0.
+
+    With `period` set, samples are taken as evenly spaced whatever their stamps, by coefficients computed once for
+    every fill of the buffer; a missing sample is then replaced by the one before it (held).
+
+    Stamps keep their own dtype, so float32 samples may carry float64 stamps, as large stamps need. A stamp must be
+    finite and not before the one before it.
+
+    Args:
+        window: Number of samples N.
+        order: Degree of the polynomial, less than `window`.
+        derivative: Which derivative, at most `order`.
+        period: Sampling period in s, or None to use the stamps.
+
+    Raises:
+        ValueRangeError: An argument is out of its range.
+    """
+
+    table: Tensor | None
+
+    def __init__(self, window: int, order: int, derivative: int = 1, period: float | None = None) -> None:
+        super().__init__()
+        if derivative < 0:
+            raise ValueRangeError(f"derivative must be 0 or more, got {derivative}")
+        if order < derivative:
+            raise ValueRangeError(f"order must be at least derivative = {derivative}, got {order}")
+        if window < order + 1:
+            raise ValueRangeError(f"window must be at least order + 1 = {order + 1}, got {window}")
+        if period is not None and not (math.isfinite(period) and period > 0):
+            raise ValueRangeError(f"period must be positive, got {period:g}")
+        self.window, self.order, self.derivative, self.period = window, order, derivative, period
+        table = None
+        if period is not None:
+            # Row m of each table: coefficients while the buffer holds m samples.
+            times = period * torch.arange(1 - window, 1, dtype=torch.float64)
+            filled = torch.ones(window + 1, window, dtype=torch.float64).tril(-1).flip(-1)
+            rows = polynomial_weights(times.expand_as(filled), filled, order, (derivative, 0))
+            table = torch.stack(rows)
+        self.register_buffer("table", table, persistent=False)
+
+    def extra_repr(self) -> str:
+        return f"window={self.window}, order={self.order}, derivative={self.derivative}, period={self.period}"
+
+    def initial_state(self, sample: Tensor, time: Tensor) -> SavitzkyGolayState:
+        """An empty buffer that fits `sample`; the sample itself is not put in.
+
+        Args:
+            sample: A sample, for its shape, dtype and device, shape (..., n).
+            time: Time stamp at or before the first sample in s, shape (...).
+        """
+        check_tensor("sample", sample, (None,))
+        check_tensor("time", time, ())
+        batch = batch_shape(sample=(sample, 1), time=(time, 0))
+        return SavitzkyGolayState(
+            sample.new_zeros((*batch, self.window, sample.shape[-1])),
+            time.detach().expand(batch).unsqueeze(-1).repeat(*[1] * len(batch), self.window),
+            torch.zeros((*batch, self.window), dtype=torch.bool, device=sample.device),
+        )
+
+    def push(
+        self, state: SavitzkyGolayState, sample: Tensor, time: Tensor, valid: Tensor | None = None
+    ) -> SavitzkyGolayState:
+        """The buffer with one more sample; arguments as in `forward`."""
+        n = state.samples.shape[-1]
+        check_tensor("sample", sample, (n,))
+        check_tensor("time", time, ())
+        check_same(sample=sample, state=state.samples)
+        batch = state.times.shape[:-1]
+        # x * 0 is 0 for finite x only, and one sum then tells of the whole sample.
+        ok = (sample * 0).sum(-1) == 0
+        ok = ok if valid is None else ok & valid
+        if self.period is None:
+            kept = torch.where(ok.unsqueeze(-1), sample, 0.0)
+        else:
+            kept = torch.where(ok.unsqueeze(-1), sample, state.samples[..., -1, :])
+            ok = ok | state.valid[..., -1]
+        kept = _fitted("sample", kept, (*batch, n))
+        time, ok = _fitted("time", time, tuple(batch)), _fitted("valid", ok, tuple(batch))
+        return SavitzkyGolayState(
+            torch.cat((state.samples[..., 1:, :], kept.unsqueeze(-2)), -2),
+            torch.cat((state.times[..., 1:], time.unsqueeze(-1)), -1),
+            torch.cat((state.valid[..., 1:], ok.unsqueeze(-1)), -1),
+        )
+
+    def _weights(self, state: SavitzkyGolayState, with_value: bool) -> list[Tensor]:
+        if self.table is not None:
+            row = state.valid.sum(-1)
+            return [part[row] for part in self.table.to(state.samples)[: 2 if with_value else 1]]
+        times = (state.times - state.times[..., -1:]).to(state.samples.dtype)
+        wanted = (self.derivative, 0) if with_value else (self.derivative,)
+        return polynomial_weights(times, state.valid.to(times.dtype), self.order, wanted)
+
+    def evaluate(self, state: SavitzkyGolayState) -> SavitzkyGolayFit:
+        """The polynomial over `state`'s samples at its newest stamp: the smoothed value and the derivative."""
+        derivative, value = ((w.unsqueeze(-2) @ state.samples).squeeze(-2) for w in self._weights(state, True))
+        return SavitzkyGolayFit(value, derivative)
+
+    def forward(
+        self, state: SavitzkyGolayState, sample: Tensor, time: Tensor, valid: Tensor | None = None
+    ) -> tuple[SavitzkyGolayState, Tensor]:
+        """Takes one sample in and returns the derivative at its stamp.
+
+        Args:
+            state: The buffer.
+            sample: New sample, shape (..., n).
+            time: Its stamp in s, shape (...).
+            valid: False where the sample is missing, bool, shape (...); None: all present.
+
+        Returns:
+            The new buffer and the derivative, shape (..., n), in units of the sample / s^derivative.
+
+        Raises:
+            DtypeError: `sample` or `time` is not floating, or `sample` has another dtype than the state.
+            ShapeError: `sample`, `time` or `valid` does not fit the state.
+        """
+        state = self.push(state, sample, time, valid)
+        (weights,) = self._weights(state, False)
+        return state, (weights.unsqueeze(-2) @ state.samples).squeeze(-2)

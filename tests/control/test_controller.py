@@ -1,0 +1,357 @@
+"""One control step against its parts, in time, with sensors missing, and with nonsense in a row."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+import torch
+from torch import Tensor
+from torch.func import jacfwd
+
+from apcc_torch.control.adaptation import AdaptiveLaw
+from apcc_torch.control.controller import APCCController
+from apcc_torch.control.inverse_kinematics import InverseKinematics
+from apcc_torch.control.signals import Command, ControllerState, Measurement, Target
+from apcc_torch.errors import DtypeError, ShapeError, ValueRangeError
+from apcc_torch.estimation.savitzky_golay import SavitzkyGolay
+from apcc_torch.estimation.state_feedback import FeedbackStatus, StateFeedback
+from apcc_torch.lie import se3, so3
+from apcc_torch.model.abscissae import decouple
+from apcc_torch.model.backbone import PCCBackbone
+from apcc_torch.model.tendons import TendonRouting, rack_routing
+from arms import HANGING_BASE, PI, PI_HAT, configurations
+from laws import bits, check_bad_row, generator, leaves, map_leaves, normal
+
+
+def controller(
+    regressor: str = "estimator_aware",
+    mode: str = "pose",
+    abscissae: Tensor | None = None,
+    routing: TendonRouting | None = None,
+    feedback: dict[str, Any] | None = None,
+    **settings: Any,
+) -> APCCController:
+    backbone = PCCBackbone(3, HANGING_BASE)
+    abscissae = PI.cumsum(0) if abscissae is None else abscissae
+    return APCCController(
+        backbone,
+        StateFeedback(backbone, abscissae, mode, **(feedback or {})),
+        SavitzkyGolay(window=5, order=2),
+        InverseKinematics(K=1.5),
+        AdaptiveLaw(3, 0.5, regressor),
+        routing,
+        **settings,
+    )
+
+
+def scene(rows: int, seed: int = 0) -> tuple[Tensor, Tensor, Target]:
+    """Configurations, the poses of sensors at the ends of the sections of V-A, and a target."""
+    rng = generator(seed)
+    q = configurations((rows,), 3, torch.float64, rng, bend=0.8)
+    backbone = PCCBackbone(3, HANGING_BASE)
+    T = backbone.pose(q, PI, *decouple(PI.cumsum(0), PI))
+    x_d = backbone.tip(q, PI) + 0.05 * normal((rows, 3), torch.float64, rng)
+    return q, T, Target(x_d, 0.1 * normal((rows, 3), torch.float64, rng))
+
+
+def stamp(seconds: float, dtype: torch.dtype = torch.float64) -> Tensor:
+    return torch.tensor(seconds, dtype=dtype)
+
+
+def same_bits(a: Any, b: Any) -> bool:
+    return all(torch.equal(bits(x), bits(y)) for x, y in zip(leaves(a), leaves(b), strict=True))
+
+
+@pytest.mark.parametrize("velocity", ["measured", "commanded"])
+@pytest.mark.parametrize("regressor", ["partial", "estimator_aware"])
+def test_a_step_is_its_parts(regressor: str, velocity: str) -> None:
+    q, _, target = scene(4)
+    c = controller(regressor, velocity=velocity, routing=rack_routing(PI.cumsum(0)))
+    state = c.initial_state(q + 0.05, PI_HAT)
+    filtered = state.velocity_filter
+    for k in range(1, 4):
+        time = stamp(0.01 * k)
+        T = c.backbone.pose((1.0 + 0.05 * k) * q, PI, *decouple(PI.cumsum(0), PI))
+        later, command = c(state, Measurement(T, time), target)
+        estimate = c.feedback(state.q_bar, state.pi_hat, T)
+        filtered, qdot_bar = c.velocity_filter(filtered, estimate.q_bar, time.expand(4))
+        e = target.x_d - T[:, -1, :3, 3]
+        J_hat = c.backbone.tip_jacobian(estimate.q_bar, state.pi_hat)
+        qdot = c.inverse_kinematics(J_hat, e, target.xdot_d, estimate.q_bar)
+        q_d = state.q_d + 0.01 * qdot
+        Y = c.regressor(estimate.q_bar, qdot_bar if velocity == "measured" else qdot, state.pi_hat)
+        pi_hat = c.law(state.pi_hat, Y, e, stamp(0.01).expand(4))
+        assert isinstance(later, ControllerState) and isinstance(command, Command)
+        assert c.routing is not None and command.y is not None
+        for have, want in (
+            (command.feedback.q_bar, estimate.q_bar),
+            (later.q_bar, estimate.q_bar),
+            (later.qdot_bar, qdot_bar),
+            (command.e, e),
+            (command.qdot, qdot),
+            (later.qdot, qdot),
+            (command.q_d, q_d),
+            (later.q_d, q_d),
+            (later.pi_hat, pi_hat),
+            (later.time, time.expand(4)),
+            (command.y, c.routing.lengths(q_d, pi_hat)),
+        ):
+            torch.testing.assert_close(have, want, rtol=0, atol=1e-13)
+        assert k == 1 or float((later.pi_hat - state.pi_hat).abs().min()) > 0.0
+        state = later
+
+
+def test_pure() -> None:
+    q, T, target = scene(3)
+    c = controller(routing=rack_routing(PI.cumsum(0)))
+    state = c.initial_state(q, PI_HAT)
+    state, _ = c(state, Measurement(T, stamp(0.01)), target)
+    inputs = (state, Measurement(T, stamp(0.02)), target)
+    before = map_leaves(torch.clone, inputs)
+    first, again = c(*inputs), c(*inputs)
+    assert same_bits(first, again)
+    assert same_bits(inputs, before)
+    # Nothing is kept in the module either: another arm in between changes nothing.
+    c(c.initial_state(q + 0.3, PI), Measurement(T.flip(0), stamp(3.0)), target)
+    assert same_bits(c(*inputs), first)
+
+
+def test_standard_controller_keeps_its_parameters() -> None:
+    q, T, target = scene(3)
+    c = controller(adaptive=False)
+    state = c.initial_state(q, PI_HAT)
+    for k in range(1, 4):
+        state, command = c(state, Measurement(T, stamp(0.02 * k)), target)
+        assert torch.equal(state.pi_hat, PI_HAT.expand(3, 3))
+    assert command.y is None
+    assert float(state.q_d.sub(q).abs().max()) > 0.0
+
+
+def test_elapsed_time_is_the_difference_of_stamps() -> None:
+    q, T, target = scene(3)
+    c = controller(integration_limit=0.1)
+    start = torch.tensor([100.0, 200.0, 300.0], dtype=torch.float64)
+    state = c.initial_state(q, PI_HAT, start)
+    elapsed = torch.zeros(3, dtype=torch.float64)
+    # Uneven, none at all, a pause longer than the limit, and a stamp from the past.
+    for step, counted in ((0.01, 0.01), (0.034, 0.034), (0.0, 0.0), (5.0, 0.1), (-1.0, 0.0)):
+        elapsed = elapsed + step
+        later, command = c(state, Measurement(T, start + elapsed), target)
+        torch.testing.assert_close(later.q_d, state.q_d + counted * command.qdot, rtol=0, atol=1e-12)
+        assert torch.equal(later.time, start + elapsed)
+        state = later
+    assert torch.isfinite(state.pi_hat).all()
+
+
+def test_velocity_filter_sees_the_estimates_and_their_stamps() -> None:
+    backbone = PCCBackbone(3, HANGING_BASE)
+    q, _, target = scene(2)
+    rate = normal((2, 9), torch.float64, generator(1)) * torch.tensor([0.3, 0.3, 0.01] * 3, dtype=torch.float64)
+    c = controller(feedback={"linear_threshold": 1e-10, "angular_threshold": 1e-10}, adaptive=False)
+    state = c.initial_state(q, PI)
+    for time in (0.01, 0.02, 0.05, 0.06, 0.08, 0.09):
+        moved = q + time * rate
+        T = backbone.pose(moved, PI, *decouple(PI.cumsum(0), PI))
+        state, _ = c(state, Measurement(T, stamp(time)), target)
+        torch.testing.assert_close(state.q_bar, moved, rtol=0, atol=1e-9)
+    torch.testing.assert_close(state.qdot_bar, rate, rtol=0, atol=1e-6)
+    assert state.velocity_filter.valid.all()
+    torch.testing.assert_close(state.velocity_filter.times[0], torch.tensor([0.02, 0.05, 0.06, 0.08, 0.09]).double())
+
+
+def test_measured_tip_and_its_absence() -> None:
+    q, T, target = scene(4)
+    c = controller()
+    state = c.initial_state(q, PI_HAT)
+
+    def error(measurement: Measurement) -> tuple[Tensor, Tensor]:
+        _, command = c(state, measurement, target)
+        return command.e, target.x_d - c.backbone.tip(command.feedback.q_bar, PI_HAT)
+
+    seen = target.x_d - T[:, -1, :3, 3]
+    e, model = error(Measurement(T, stamp(0.01)))
+    assert torch.equal(e, seen) and float((seen - model).norm(dim=-1).min()) > 1e-4
+    mask = torch.ones(4, 3, dtype=torch.bool)
+    mask[1, 2] = False
+    e, model = error(Measurement(T, stamp(0.01), mask))
+    assert torch.equal(e[[0, 2, 3]], seen[[0, 2, 3]]) and torch.equal(e[1], model[1])
+    gap = T.clone()
+    gap[2, 2, 1, 3] = torch.nan
+    e, model = error(Measurement(gap, stamp(0.01)))
+    assert torch.equal(e[[0, 1, 3]], seen[[0, 1, 3]]) and torch.equal(e[2], model[2])
+    # A tip sensor of its own comes first, whatever the last sensor of the arm says.
+    tip = T[:, -1, :3, 3] + 0.01
+    tip[3] = torch.nan
+    e, model = error(Measurement(T, stamp(0.01), mask, tip=tip))
+    assert torch.equal(e[:3], (target.x_d - tip)[:3]) and torch.equal(e[3], model[3])
+
+
+def test_all_sensors_lost() -> None:
+    q, T, target = scene(2)
+    c = controller()
+    state, _ = c(c.initial_state(q, PI_HAT), Measurement(T, stamp(0.01)), target)
+    later, command = c(state, Measurement(torch.full_like(T, torch.nan), stamp(0.02)), target)
+    assert (command.feedback.status == FeedbackStatus.INVALID).all()
+    assert torch.equal(later.q_bar, state.q_bar)
+    assert all(torch.isfinite(leaf).all() for leaf in leaves((later, command)))
+
+
+def test_bounds() -> None:
+    q, T, target = scene(20)
+    q = q * 1.5
+    c = controller(bend_bound=0.5, elongation_bound=4e-3, integration_limit=10.0)
+    state, command = c(c.initial_state(q, PI_HAT), Measurement(T, stamp(0.5)), target)
+    free = (q + 0.5 * command.qdot).unflatten(-1, (3, 3))
+    held = state.q_d.unflatten(-1, (3, 3))
+    torch.testing.assert_close(held[..., :2], free[..., :2].clamp(-0.5, 0.5))
+    torch.testing.assert_close(held[..., 2], free[..., 2].clamp(-4e-3, 4e-3))
+    assert float(free[..., :2].abs().max()) > 0.5 and float(free[..., 2].abs().max()) > 4e-3
+
+
+def test_bad_rows_leave_their_neighbours() -> None:
+    q, T, target = scene(4)
+    c = controller(routing=rack_routing(PI.cumsum(0)), bend_bound=2.0)
+    state = c.initial_state(q, PI_HAT.expand(4, 3))
+    state, _ = c(state, Measurement(T, stamp(0.01)), target)
+    tip = T[:, -1, :3, 3].clone()
+    measurement = Measurement(T, stamp(0.02).expand(4), None, None, tip)
+    check_bad_row(c, (state, measurement, target))
+
+
+def test_nonsense_does_not_stay() -> None:
+    q, T, target = scene(2)
+    c = controller()
+    state, _ = c(c.initial_state(q, PI_HAT), Measurement(T, stamp(0.01)), target)
+    for bad in (torch.nan, torch.inf):
+        for broken in (
+            (Measurement(T, stamp(0.02)), Target(target.x_d + bad, target.xdot_d)),
+            (Measurement(T, stamp(0.02)), Target(target.x_d, target.xdot_d * bad)),
+            (Measurement(T * bad, stamp(0.02)), target),
+            (Measurement(T, stamp(0.02), tip=T[:, -1, :3, 3] * bad), target),
+        ):
+            later, _ = c(state, *broken)
+            for name in ("q_bar", "pi_hat", "q_d"):
+                assert torch.isfinite(getattr(later, name)).all(), name
+            later, command = c(later, Measurement(T, stamp(0.03)), target)
+            assert all(torch.isfinite(leaf).all() for leaf in leaves((later, command)))
+
+
+@pytest.mark.parametrize("stamps", [torch.float32, torch.float64])
+def test_single_precision(stamps: torch.dtype) -> None:
+    q, T, target = scene(3)
+    c = controller(routing=rack_routing(PI.cumsum(0))).to(torch.float32)
+    double = controller(routing=rack_routing(PI.cumsum(0)))
+    single = Target(target.x_d.float(), target.xdot_d.float())
+    # A clock that has run for weeks: its stamps need double precision, the arm does not.
+    begin = 0.0 if stamps == torch.float32 else 3e6
+    state = c.initial_state(q.float(), PI_HAT.float(), stamp(begin, stamps))
+    wanted = double.initial_state(q, PI_HAT, stamp(begin))
+    for k in range(1, 6):
+        state, command = c(state, Measurement(T.float(), stamp(begin + 0.01 * k, stamps)), single)
+        wanted, want = double(wanted, Measurement(T, stamp(begin + 0.01 * k)), target)
+        for part in (state.q_bar, state.qdot_bar, state.pi_hat, state.q_d, command.qdot, command.e, command.y):
+            assert part is not None and part.dtype == torch.float32
+        torch.testing.assert_close(command.q_d.double(), want.q_d, rtol=1e-4, atol=1e-4)
+        torch.testing.assert_close(state.pi_hat.double(), wanted.pi_hat, rtol=1e-3, atol=1e-4)
+    assert state.time.dtype == stamps
+
+
+@pytest.mark.parametrize("mode", ["position", "pose"])
+def test_total_regressor(mode: str) -> None:
+    # Sensors inside the arm, so that they slide along the model as its parameters change.
+    X = torch.tensor([0.09, 0.33, 0.58], dtype=torch.float64)
+    weight = 0.4
+    tight = {"linear_threshold": 1e-15, "angular_threshold": 1e-15, "max_iterations": 60, "settled_step": 1e-13}
+    c = controller(mode=mode, abscissae=X, feedback={"angular_weight": weight, **tight})
+    backbone = c.backbone
+    for seed in range(3):
+        rng = generator(seed)
+        q, qdot = configurations((), 3, torch.float64, rng, bend=0.9), normal((9,), torch.float64, rng)
+        T = backbone.pose(q, PI, *decouple(X, PI))
+
+        def gap(q_bar: Tensor, pi: Tensor, T: Tensor = T) -> Tensor:
+            between = se3.inverse(T) @ backbone.pose(q_bar, pi, *decouple(X, pi))
+            linear, angular = between[:, :3, 3], so3.vee(between[:, :3, :3])
+            return (linear if mode == "position" else torch.cat((linear, weight * angular))).flatten()
+
+        def velocity(q_bar: Tensor, pi: Tensor, qdot: Tensor = qdot) -> Tensor:
+            return jacfwd(backbone.tip)(q_bar, pi) @ qdot
+
+        q_bar_slope = -torch.linalg.lstsq(jacfwd(gap)(q, PI), jacfwd(gap, argnums=1)(q, PI)).solution
+        want = jacfwd(velocity, argnums=1)(q, PI) + jacfwd(velocity)(q, PI) @ q_bar_slope
+        scale = float(want.abs().max())
+        have = c.regressor(q, qdot, PI)
+        torch.testing.assert_close(have, want, rtol=0, atol=1e-4 * scale)
+        # The whole of it, through the estimator itself.
+        h = 1e-5
+        steps = h * torch.eye(3, dtype=torch.float64)
+        ahead, behind = (
+            (backbone.tip_jacobian(c.feedback(q, PI + s * steps, T).q_bar, PI + s * steps) @ qdot) for s in (1.0, -1.0)
+        )
+        torch.testing.assert_close((ahead - behind).mT / (2 * h), want, rtol=0, atol=2e-4 * scale)
+        assert float((have - backbone.regressor(q, qdot)[0]).abs().max()) > 0.05 * scale
+        partial = controller("partial", mode, X).regressor(q, qdot, PI)
+        assert torch.equal(partial, backbone.regressor(q, qdot)[0])
+
+
+def test_regressor_knows_which_sensors_the_estimate_used() -> None:
+    X = torch.tensor([0.09, 0.33, 0.5, 0.58], dtype=torch.float64)
+    q, _, target = scene(3)
+    full, fewer = controller(abscissae=X), controller(abscissae=X[[0, 1, 3]])
+    T = full.backbone.pose(q, PI, *decouple(X, PI))
+    mask = torch.tensor([True, True, False, True])
+    lost = T.clone()
+    lost[:, 2] = torch.nan
+    rates = []
+    for c, poses, seen in ((fewer, T[:, mask], None), (full, T, mask), (full, lost, None)):
+        state = c.initial_state(q, PI_HAT)
+        for k in range(1, 4):
+            state, _ = c(state, Measurement(poses, stamp(0.01 * k), seen), target)
+        rates.append(state.pi_hat)
+    torch.testing.assert_close(rates[1], rates[0], rtol=0, atol=1e-9)
+    assert torch.equal(rates[2], rates[1])
+
+
+def test_shapes_follow_the_largest_batch() -> None:
+    q, T, target = scene(1)
+    c = controller()
+    one = map_leaves(lambda leaf: leaf[0], (T, target))
+    state, command = c(c.initial_state(q[0], PI_HAT), Measurement(one[0], stamp(0.01)), one[1])
+    assert command.q_d.shape == (9,) and state.time.shape == ()
+    # One measurement for a batch of parameters.
+    lengths = PI_HAT + torch.tensor([[0.0], [1e-3]], dtype=torch.float64)
+    both, command = c(c.initial_state(q[0], lengths), Measurement(one[0], stamp(0.01)), one[1])
+    assert command.q_d.shape == (2, 9)
+    torch.testing.assert_close(both.pi_hat[0], state.pi_hat)
+
+
+def test_refusals() -> None:
+    with pytest.raises(ValueRangeError, match="velocity must be one of measured, commanded"):
+        controller(velocity="filtered")
+    for name in ("bend_bound", "elongation_bound", "integration_limit"):
+        for value in (0.0, -1.0, float("nan"), float("inf")):
+            with pytest.raises(ValueRangeError, match=name):
+                controller(**{name: value})
+    c = controller()
+    q, T, target = scene(2)
+    state = c.initial_state(q, PI_HAT)
+    time = stamp(0.01)
+    with pytest.raises(ShapeError, match="L0 must have shape"):
+        c.initial_state(q, PI_HAT[:2])
+    for measurement, wanted, error, message in (
+        (Measurement(T[:, :2], time), target, ShapeError, r"T must have shape \(\.\.\., 3, 4, 4\)"),
+        (Measurement(T[..., 0], time), target, ShapeError, r"measurement\.T must have shape"),
+        (Measurement(T.float(), time), target, DtypeError, r"measurement\.T is torch\.float32"),
+        (Measurement(T, time.long()), target, DtypeError, r"measurement\.time must be a floating-point"),
+        (Measurement(T, time.expand(3)), target, ShapeError, r"measurement\.time \(3,\)"),
+        (Measurement(T, time, torch.ones(2, 2, dtype=torch.bool)), target, ShapeError, "mask must have shape"),
+        (Measurement(T, time, tip=T[..., 3]), target, ShapeError, r"measurement\.tip must have shape"),
+        (Measurement(T, time), Target(target.x_d[:, :2], target.xdot_d), ShapeError, r"target\.x_d must have shape"),
+        (Measurement(T, time), Target(target.x_d, target.xdot_d[:, :2]), ShapeError, r"target\.xdot_d must have shape"),
+        (Measurement(T, time), Target(target.x_d.float(), target.xdot_d), DtypeError, r"target\.x_d is torch\.float32"),
+        (Measurement(T, time), Target(target.x_d.expand(3, 2, 3)[:, :1].expand(3, 5, 3), target.xdot_d), ShapeError,
+         "do not broadcast"),
+    ):  # fmt: skip
+        with pytest.raises(error, match=message):
+            c(state, measurement, wanted)
