@@ -1,0 +1,124 @@
+"""CSV files of numbers, read whole with errors that name the place, and files written whole or not at all."""
+
+from __future__ import annotations
+
+import csv
+import math
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from apcc_torch.errors import DataError
+
+
+@dataclass(frozen=True)
+class CsvTable:
+    """A CSV file of numbers; empty cells are NaN."""
+
+    path: Path
+    columns: dict[str, int]
+    lines: list[int]
+    cells: Tensor  # (T, number of columns)
+
+    def fault(self, what: str, column: str | None = None, row: int | None = None) -> DataError:
+        """The error to raise: one sentence that names the file, the column and the line of data row `row`."""
+        place = str(self.path)
+        if column is not None:
+            place += f", column {column!r}"
+        if row is not None:
+            place += f", line {self.lines[row]}"
+        return DataError(f"{place}: {what}")
+
+    def take(self, names: Sequence[str]) -> Tensor:
+        """The named columns, shape (T, n)."""
+        for name in names:
+            if name not in self.columns:
+                raise self.fault("the column is missing", name)
+        return self.cells[:, [self.columns[name] for name in names]]
+
+    def finite(self, names: Sequence[str], wanted: Tensor | None = None) -> Tensor:
+        """The named columns, where every cell that is `wanted` (T,) must hold a finite number."""
+        values = self.take(names)
+        bad = ~values.isfinite() if wanted is None else ~values.isfinite() & wanted.unsqueeze(-1)
+        if bool(bad.any()):
+            row, k = (int(i) for i in bad.nonzero()[0])
+            raise self.fault("the cell holds no finite number", names[k], row)
+        return values
+
+    def numbered(self, stem: str) -> list[str]:
+        """The columns stem1, stem2, ... up to the highest number there is."""
+        numbers = [int(c[len(stem) :]) for c in self.columns if c.startswith(stem) and c[len(stem) :].isdecimal()]
+        return [f"{stem}{i}" for i in range(1, max(numbers, default=0) + 1)]
+
+    def optional(self, names: Sequence[str]) -> Tensor | None:
+        """The named columns, or None where the file has none of them."""
+        return self.finite(names) if any(name in self.columns for name in names) else None
+
+
+def _number(cell: str) -> float:
+    return float(cell) if cell.strip() else math.nan
+
+
+def read_table(path: Path) -> CsvTable:
+    """Reads a CSV file of numbers with a header line whole; empty lines are skipped.
+
+    Raises:
+        DataError: The file cannot be read, has no data, repeats a column, or has a line that is short or holds text.
+    """
+    lines: list[int] = []
+    rows: list[list[float]] = []
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as file:
+            reader = csv.reader(file)
+            header = [name.strip() for name in next(reader, [])]
+            for row in reader:
+                if not row:
+                    continue
+                if len(row) != len(header):
+                    raise DataError(
+                        f"{path}, line {reader.line_num}: the line has {len(row)} cells where the header has "
+                        f"{len(header)} (from column {header[min(len(row), len(header) - 1)]!r} on)"
+                    )
+                try:
+                    rows.append([_number(cell) for cell in row])
+                except ValueError:
+                    raise _not_a_number(path, header, row, reader.line_num) from None
+                lines.append(reader.line_num)
+    except OSError as error:
+        raise DataError(f"{path}: cannot be read ({error.strerror})") from error
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise DataError(f"{path}: is not a CSV text file ({error})") from error
+    if not rows:
+        raise DataError(f"{path}: holds no data lines")
+    for name in header:
+        if header.count(name) > 1:
+            raise DataError(f"{path}, column {name!r}: the column is there more than once")
+    columns = {name: i for i, name in enumerate(header)}
+    return CsvTable(path, columns, lines, torch.tensor(rows, dtype=torch.float64))
+
+
+def _not_a_number(path: Path, header: list[str], row: list[str], line: int) -> DataError:
+    for name, cell in zip(header, row, strict=True):
+        try:
+            _number(cell)
+        except ValueError:
+            return DataError(f"{path}, column {name!r}, line {line}: {cell!r} is not a number")
+    raise AssertionError("every cell is a number")
+
+
+def write_atomically(path: Path, text: str) -> None:
+    """Writes a text file so that a reader, or a crash, never meets half of it."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    draft = path.with_name(f".{path.name}.{os.getpid()}.draft")
+    try:
+        with draft.open("w", newline="", encoding="utf-8") as file:
+            file.write(text)
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(draft, path)
+    finally:
+        draft.unlink(missing_ok=True)

@@ -1,0 +1,284 @@
+"""A gate in front of the estimator: which sensors' positions and rotations to believe in a frame, and why not.
+
+Motion capture loses bodies, and mistakes one arrangement of a body's markers for another: the rotation then jumps,
+stays wrong for a while and jumps back. The gate judges each frame against the last accepted one, with an allowance that
+grows with the time since then, so that an arm that truly moved is found again; and against what an arm can do at all,
+for without that the growing allowance would in the end accept a wrong rotation that stays.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from enum import IntEnum
+from typing import NamedTuple
+
+import torch
+from torch import Tensor, nn
+
+from apcc_torch.errors import ShapeError, ValueRangeError
+from apcc_torch.shapes import batch_shape, check_tensor
+
+
+class Reason(IntEnum):
+    """Why a position or a rotation was not accepted; the first that holds, in this order."""
+
+    OK = 0
+    UNTRACKED = 1  # the source says so
+    NON_FINITE = 2  # the pose has a NaN or an infinite entry
+    NOT_A_ROTATION = 3  # columns not orthonormal: a zero or non-unit quaternion, or a reflection
+    OUT_OF_REACH = 4  # position: farther from the base than the arm is long
+    TWISTED = 5  # rotation: twisted about the arm's axis more than an arm that only bends can be
+    JUMP = 6  # farther from the last accepted one than the rate limit allows
+    TOO_BENT = 7  # rotation: turned against the next accepted sensor towards the base more than the arm can bend
+
+
+_OK = int(Reason.OK)  # a plain number: torch.compile cannot compare a tensor with an IntEnum
+
+
+class GateState(NamedTuple):
+    """Last accepted poses and their times, position and rotation apart.
+
+    Attributes:
+        position: Last accepted positions in m, shape (..., k, 3); zero before the first.
+        rotation: Last accepted rotations, shape (..., k, 3, 3); the identity before the first.
+        position_time: Their times in s, shape (..., k); minus infinity before the first.
+        rotation_time: Their times in s, shape (..., k); minus infinity before the first.
+    """
+
+    position: Tensor
+    rotation: Tensor
+    position_time: Tensor
+    rotation_time: Tensor
+
+    def poses(self) -> Tensor:
+        """The last accepted poses, (..., k, 4, 4): finite whatever came in, for use where the gate holds one back."""
+        top = torch.cat((self.rotation, self.position.unsqueeze(-1)), dim=-1)
+        bottom = top.new_tensor([0.0, 0.0, 0.0, 1.0]).expand(*top.shape[:-2], 1, 4)
+        return torch.cat((top, bottom), dim=-2)
+
+
+class GateVerdict(NamedTuple):
+    """What was accepted, each of shape (..., k): two bool masks and `Reason` codes (int64)."""
+
+    position_ok: Tensor
+    orientation_ok: Tensor
+    position_reason: Tensor
+    orientation_reason: Tensor
+
+
+def _per_sensor(name: str, value: float | Sequence[float], k: int) -> Tensor:
+    limits = torch.as_tensor(value, dtype=torch.float64)
+    if limits.shape not in ((), (k,)):
+        raise ShapeError(f"{name} must be a number or {k} of them, got shape {tuple(limits.shape)}")
+    if not bool((limits > 0).all()):  # NaN fails too
+        raise ValueRangeError(f"{name} must be positive, got {limits.tolist()}")
+    return limits.expand(k).clone()
+
+
+def _least_cos(limit: Tensor) -> Tensor:
+    """The least cos of an angle up to `limit`; -2, which is below any cos, where any angle is."""
+    return torch.where(limit < math.pi, torch.cos(limit), -2.0)
+
+
+def _cos_between(a: Tensor, b: Tensor) -> Tensor:
+    """The cos of the angle between rotations (..., 3, 3)."""
+    return 0.5 * ((a * b).sum((-2, -1)) - 1.0)
+
+
+class SensorGate(nn.Module):
+    """Judges the poses of k sensors along an arm, numbered from the base to the tip, frame by frame.
+
+    Poses are those of `Calibration`: in the base frame, z along the resting arm, the identity rotation at rest. Each
+    limit is one number or one a sensor, and may be infinite. Before a sensor's first accepted pose nothing is a jump.
+
+    Args:
+        sensors: Number of sensors k.
+        max_speed: Limit of the position's speed, m/s.
+        position_margin: What a position may jump at any time (noise, a late frame), m.
+        max_angular_rate: Limit of the rotation's rate, rad/s.
+        angle_margin: What a rotation may jump at any time, rad.
+        max_reach: Limit of the distance from the base, m; a good choice is 1.5 times the sensor's abscissa.
+        max_bend: Limit of the angle between a sensor and the next one towards the base (the base for the first), rad.
+            Where that one is not accepted in this frame, the one before it serves, with both limits added.
+        max_twist: Limit of the angle about the arm's own axis, rad: of the twist in the split of the rotation into a
+            twist about z followed by a tilt. Constant-curvature sections in a row have little of it.
+        rotation_tolerance: Limit of the entries of R^T R - I.
+
+    Raises:
+        ShapeError: A limit is neither a number nor one a sensor.
+        ValueRangeError: A limit is not positive.
+    """
+
+    max_speed: Tensor
+    position_margin: Tensor
+    max_angular_rate: Tensor
+    angle_margin: Tensor
+    max_reach: Tensor
+    max_bend: Tensor
+    max_twist: Tensor
+    identity: Tensor
+    least_cos: Tensor  # of the angle between every two frames, the base first, (k + 1, k + 1)
+
+    def __init__(
+        self,
+        sensors: int,
+        max_speed: float | Sequence[float] = 1.0,
+        position_margin: float | Sequence[float] = 0.01,
+        max_angular_rate: float | Sequence[float] = 8.0,
+        angle_margin: float | Sequence[float] = 0.15,
+        max_reach: float | Sequence[float] = math.inf,
+        max_bend: float | Sequence[float] = math.pi / 2,
+        max_twist: float | Sequence[float] = 0.8,
+        rotation_tolerance: float = 4e-3,
+    ) -> None:
+        super().__init__()
+        if sensors < 1:
+            raise ValueRangeError(f"sensors must be at least 1, got {sensors}")
+        if not rotation_tolerance > 0:
+            raise ValueRangeError(f"rotation_tolerance must be positive, got {rotation_tolerance:g}")
+        self.sensors, self.rotation_tolerance = sensors, rotation_tolerance
+        for name, value in (
+            ("max_speed", max_speed),
+            ("position_margin", position_margin),
+            ("max_angular_rate", max_angular_rate),
+            ("angle_margin", angle_margin),
+            ("max_reach", max_reach),
+            ("max_bend", max_bend),
+            ("max_twist", max_twist),
+        ):
+            self.register_buffer(name, _per_sensor(name, value, sensors), persistent=False)
+        self.register_buffer("identity", torch.eye(3, dtype=torch.float64), persistent=False)
+        i = torch.arange(sensors + 1)
+        spanned = (i[:sensors] >= i[:, None, None]) & (i[:sensors] < i[:, None])  # [lower, upper, bend]
+        between = torch.where(spanned | spanned.transpose(0, 1), self.max_bend, 0.0).sum(-1)
+        self.register_buffer("least_cos", _least_cos(between), persistent=False)
+
+    def extra_repr(self) -> str:
+        return ", ".join(
+            [f"sensors={self.sensors}", *(f"{name}={b.tolist()}" for name, b in self.named_buffers() if b.dim() == 1)]
+        )
+
+    def initial_state(self, T: Tensor, time: Tensor) -> GateState:
+        """The state before the first frame.
+
+        Args:
+            T: A frame's poses, for their shape, dtype and device, shape (..., k, 4, 4).
+            time: A time stamp, for its shape and dtype, shape (...).
+        """
+        check_tensor("T", T, (self.sensors, 4, 4))
+        check_tensor("time", time, ())
+        batch = batch_shape(T=(T, 3), time=(time, 0))
+        never = torch.full((*batch, self.sensors), -math.inf, dtype=time.dtype, device=time.device)
+        eye = torch.eye(3, dtype=T.dtype, device=T.device)
+        return GateState(
+            T.new_zeros(*batch, self.sensors, 3), eye.expand(*batch, self.sensors, 3, 3).clone(), never, never
+        )
+
+    def forward(self, state: GateState, T: Tensor, tracked: Tensor, time: Tensor) -> tuple[GateState, GateVerdict]:
+        """Judges one frame.
+
+        Args:
+            state: What was accepted before.
+            T: Poses in the base frame, shape (..., k, 4, 4); may hold NaN.
+            tracked: Which sensors the source saw, bool, shape (..., k).
+            time: Time stamp in s, shape (...).
+
+        Returns:
+            The state with what was accepted, and the verdict.
+
+        Raises:
+            DtypeError, ShapeError: `T` or `time` is not a floating tensor of its shape.
+        """
+        check_tensor("T", T, (self.sensors, 4, 4))
+        now = check_tensor("time", time, ()).unsqueeze(-1)
+        R, p = T[..., :3, :3], T[..., :3, 3]
+        finite = T[..., :3, :].isfinite().flatten(-2).all(-1)
+        # From here on every number is finite: what is not is replaced by what was held, and its reason stands.
+        R = torch.where(finite[..., None, None], R, state.rotation)
+        p = torch.where(finite[..., None], p, state.position)
+        gram = R.mT @ R - self.identity.to(R)
+        proper = (gram.abs().amax((-2, -1)) <= self.rotation_tolerance) & (torch.linalg.det(R) > 0)
+        common = ((Reason.UNTRACKED, ~tracked), (Reason.NON_FINITE, ~finite), (Reason.NOT_A_ROTATION, ~proper))
+
+        waited = (now - state.position_time).clamp(min=0.0).to(p.dtype)
+        allowed = self.position_margin.to(p) + self.max_speed.to(p) * waited
+        far = torch.linalg.vector_norm(p, dim=-1) > self.max_reach.to(p)
+        jump = torch.linalg.vector_norm(p - state.position, dim=-1) > allowed
+        position_reason = _first((*common, (Reason.OUT_OF_REACH, far), (Reason.JUMP, jump)))
+
+        waited = (now - state.rotation_time).clamp(min=0.0).to(p.dtype)
+        allowed = self.angle_margin.to(p) + self.max_angular_rate.to(p) * waited
+        twist = torch.atan2(R[..., 1, 0] - R[..., 0, 1], R[..., 0, 0] + R[..., 1, 1]).abs()
+        jump = _cos_between(R, state.rotation) < _least_cos(allowed)
+        reason = _first((*common, (Reason.TWISTED, twist > self.max_twist.to(p)), (Reason.JUMP, jump)))
+        orientation_reason = self._with_bend(R, reason)
+
+        position_ok, orientation_ok = position_reason == _OK, orientation_reason == _OK
+        state = GateState(
+            torch.where(position_ok.unsqueeze(-1), p, state.position),
+            torch.where(orientation_ok[..., None, None], R, state.rotation),
+            torch.where(position_ok, now, state.position_time),
+            torch.where(orientation_ok, now, state.rotation_time),
+        )
+        return state, GateVerdict(position_ok, orientation_ok, position_reason, orientation_reason)
+
+    def _with_bend(self, R: Tensor, reason: Tensor) -> Tensor:
+        """The reasons (..., k), with TOO_BENT where all else was well; from the base on, as each leans on the last."""
+        base = self.identity.to(R).expand(*R.shape[:-3], 1, 3, 3)
+        flat = torch.cat((base, R), dim=-3).flatten(-2)
+        # Between every two frames, the base first: is the angle more than the bends between them allow?
+        too_bent = 0.5 * (flat @ flat.mT - 1.0) < self.least_cos.to(R)
+        well = reason == _OK
+        below = too_bent[..., 0, :]
+        rejected = []
+        for k in range(self.sensors):
+            bent = below[..., k + 1]
+            rejected.append(bent)
+            below = torch.where((well[..., k] & ~bent).unsqueeze(-1), too_bent[..., k + 1, :], below)
+        return reason.masked_fill(torch.stack(rejected, dim=-1) & well, int(Reason.TOO_BENT))
+
+
+def _first(checks: Sequence[tuple[Reason, Tensor]]) -> Tensor:
+    """The code of the first check that holds, Reason.OK where none does."""
+    code = torch.zeros_like(checks[-1][1], dtype=torch.int64)
+    for reason, holds in reversed(checks):
+        code = code.masked_fill(holds, int(reason))
+    return code
+
+
+def gate_recording(gate: SensorGate, T: Tensor, tracked: Tensor, times: Tensor) -> tuple[Tensor, GateVerdict]:
+    """Runs the gate over a whole recording.
+
+    Args:
+        gate: The gate.
+        T: Poses in the base frame, shape (N, k, 4, 4).
+        tracked: Which sensors the source saw, bool, shape (N, k).
+        times: Time stamps in s, shape (N,).
+
+    Returns:
+        The poses with the last accepted ones held where one was not accepted, shape (N, k, 4, 4), and the verdicts,
+        each of shape (N, k).
+    """
+    state = gate.initial_state(T[0], times[0])
+    held, verdicts = [], []
+    for i in range(len(T)):
+        state, verdict = gate(state, T[i], tracked[i], times[i])
+        held.append(state.poses())
+        verdicts.append(verdict)
+    return torch.stack(held), GateVerdict(*(torch.stack(parts) for parts in zip(*verdicts, strict=True)))
+
+
+def count_reasons(verdict: GateVerdict) -> dict[str, list[int]]:
+    """How often each reason fell on each sensor, over all leading dimensions.
+
+    Returns:
+        "position_jump", "orientation_twisted", ... -> k counts, for the reasons that occurred.
+    """
+    counts = {}
+    for what, codes in (("position", verdict.position_reason), ("orientation", verdict.orientation_reason)):
+        for reason in list(Reason)[1:]:
+            found = (codes == reason).reshape(-1, codes.shape[-1]).sum(0).tolist()
+            if any(found):
+                counts[f"{what}_{reason.name.lower()}"] = found
+    return counts
