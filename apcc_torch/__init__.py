@@ -1,0 +1,42 @@
+"""apcc_torch: adaptive piecewise constant-curvature control of soft arms, as batched PyTorch modules.
+
+Everything is a small module whose state is passed in and returned, so the same controller runs in a simulation of
+thousands of arms, in the replay of a recording, under autograd, and on the robot.
+"""
+
+from __future__ import annotations
+
+from apcc_torch.control.adaptation import AdaptiveLaw
+from apcc_torch.control.controller import APCCController
+from apcc_torch.control.inverse_kinematics import InverseKinematics
+from apcc_torch.control.signals import Command, ControllerState, Measurement, Target
+from apcc_torch.errors import ApccError
+from apcc_torch.estimation.savitzky_golay import SavitzkyGolay
+from apcc_torch.estimation.state_feedback import Feedback, FeedbackStatus, StateFeedback
+from apcc_torch.model.abscissae import decouple
+from apcc_torch.model.backbone import PCCBackbone
+from apcc_torch.model.dynamics import SoftArmDynamics
+from apcc_torch.model.tendons import TendonRouting
+from apcc_torch.simulation.metrics import shape_error
+
+__version__ = "0.1.0"
+
+__all__ = [
+    "APCCController",
+    "AdaptiveLaw",
+    "ApccError",
+    "Command",
+    "ControllerState",
+    "Feedback",
+    "FeedbackStatus",
+    "InverseKinematics",
+    "Measurement",
+    "PCCBackbone",
+    "SavitzkyGolay",
+    "SoftArmDynamics",
+    "StateFeedback",
+    "Target",
+    "TendonRouting",
+    "decouple",
+    "shape_error",
+]

@@ -1,0 +1,227 @@
+"""Settings to objects. Every refusal is one sentence that names the key."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import pi
+
+import torch
+from torch import Tensor
+
+from apcc_torch.configs.schema import PlantConfig, RobotConfig, SimulateConfig
+from apcc_torch.control.adaptation import AdaptiveLaw
+from apcc_torch.control.controller import APCCController
+from apcc_torch.control.inverse_kinematics import InverseKinematics
+from apcc_torch.control.pid import TendonPID
+from apcc_torch.errors import ConfigError
+from apcc_torch.estimation.savitzky_golay import SavitzkyGolay
+from apcc_torch.estimation.state_feedback import StateFeedback
+from apcc_torch.model.backbone import HANGING, PCCBackbone
+from apcc_torch.model.dynamics import SoftArmDynamics
+from apcc_torch.model.stiffness import scaled_stiffness
+from apcc_torch.model.tendons import TendonRouting, rack_routing
+from apcc_torch.simulation.dynamic import Plant
+from apcc_torch.simulation.sensors import PoseSensors
+from apcc_torch.simulation.trajectory import SetPoint, SineTrajectory
+
+DTYPES = {"float64": torch.float64, "float32": torch.float32}
+BASES = {"hanging": HANGING, "standing": ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))}
+
+
+def choice(key: str, value: str, options: Sequence[str]) -> str:
+    """`value` if it is one of `options`.
+
+    Raises:
+        ConfigError: "feedback.mode must be one of position, pose, got 'both'".
+    """
+    if value not in options:
+        raise ConfigError(f"{key} must be one of {', '.join(options)}, got {value!r}")
+    return value
+
+
+class Builder:
+    """Builds the objects of one run, all of one dtype and device.
+
+    Args:
+        config: The resolved settings.
+
+    Raises:
+        ConfigError: dtype, device or another setting has no meaning.
+    """
+
+    def __init__(self, config: SimulateConfig) -> None:
+        self.config = config
+        self.dtype = DTYPES[choice("dtype", config.dtype, tuple(DTYPES))]
+        if config.device.startswith("cuda") and not torch.cuda.is_available():
+            raise ConfigError(f"device is {config.device!r}, but torch finds no CUDA device")
+        self.device = torch.device(config.device)
+
+    def vector(self, key: str, values: Sequence[float], size: int | None = None) -> Tensor:
+        """A list of numbers as a tensor (size,).
+
+        Raises:
+            ConfigError: The list has another length, or is not a list of numbers.
+        """
+        try:
+            tensor = torch.tensor([float(v) for v in values], dtype=self.dtype, device=self.device)
+        except (TypeError, ValueError) as error:
+            raise ConfigError(f"{key} must be a list of numbers, got {values!r}") from error
+        if size is not None and tensor.shape[0] != size:
+            raise ConfigError(f"{key} must have {size} entries, got {tensor.shape[0]}")
+        return tensor
+
+    def gain(self, key: str, value: object, size: int) -> Tensor:
+        """A number or a list of `size` numbers as a 0-d or (size,) tensor."""
+        if isinstance(value, bool | str):
+            raise ConfigError(f"{key} must be a number or a list of {size} numbers, got {value!r}")
+        if isinstance(value, int | float):
+            return torch.tensor(float(value), dtype=self.dtype, device=self.device)
+        if not isinstance(value, Sequence):
+            raise ConfigError(f"{key} must be a number or a list of {size} numbers, got {value!r}")
+        return self.vector(key, value, size)
+
+    @property
+    def n_sections(self) -> int:
+        """Sections of the model."""
+        return len(self.config.robot.rest_lengths)
+
+    def rest_lengths(self) -> Tensor:
+        """(n_b,) nominal rest lengths of the model, m: the true ones in the kinematic simulation."""
+        lengths = self.vector("robot.rest_lengths", self.config.robot.rest_lengths)
+        if not bool((lengths > 0).all()):
+            raise ConfigError(f"robot.rest_lengths must be positive, got {self.config.robot.rest_lengths}")
+        return lengths
+
+    def first_estimate(self) -> Tensor:
+        """(n_b,) pi_hat at the start, m."""
+        values = self.config.robot.initial_estimate
+        if values is None:
+            return self.rest_lengths()
+        estimate = self.vector("robot.initial_estimate", values, self.n_sections)
+        if not bool((estimate > 0).all()):
+            raise ConfigError(f"robot.initial_estimate must be positive, got {values}")
+        return estimate
+
+    def base_rotation(self) -> Tensor:
+        """(3, 3) base of the arm in the world."""
+        rotation = BASES[choice("robot.base", self.config.robot.base, tuple(BASES))]
+        return torch.tensor(rotation, dtype=self.dtype, device=self.device)
+
+    def backbone(self) -> PCCBackbone:
+        """The model's backbone."""
+        return PCCBackbone(self.n_sections, self.base_rotation())
+
+    def sensors_at(self) -> Tensor:
+        """(k,) sensor abscissae, m."""
+        return self.vector("robot.sensors", self.config.robot.sensors)
+
+    def routing(self, layout: str | None = None) -> TendonRouting:
+        """Tendons of the model, or with another layout those of the plant."""
+        robot: RobotConfig = self.config.robot
+        racks = self.vector("robot.racks", robot.racks)
+        return rack_routing(
+            racks, robot.tendon_offset, robot.tendons_per_rack, robot.rack_twist, layout or robot.layout
+        )
+
+    def controller(self, adaptive: bool | None = None) -> APCCController:
+        """The controller; `adaptive` overrides the setting."""
+        c = self.config
+        backbone = self.backbone()
+        n_b = self.n_sections
+
+        def bound(key: str, values: Sequence[float] | None) -> Tensor | None:
+            return None if values is None else self.vector(key, values, n_b)
+
+        law = AdaptiveLaw(
+            n_b,
+            self.gain("controller.gamma", c.controller.gamma, n_b) * c.adaptation.gain_scale,
+            c.adaptation.regressor,
+            bound("adaptation.lower", c.adaptation.lower),
+            bound("adaptation.upper", c.adaptation.upper),
+            c.adaptation.rate,
+            c.adaptation.normalisation,
+            c.adaptation.dead_zone,
+            c.adaptation.reach,
+        )
+        f = c.feedback
+        feedback = StateFeedback(
+            backbone,
+            self.sensors_at(),
+            mode=f.mode,
+            angular_weight=f.angular_weight,
+            max_iterations=f.max_iterations,
+            min_iterations=f.min_iterations,
+            linear_threshold=f.linear_threshold,
+            angular_threshold=f.angular_threshold,
+            bend_step=f.bend_step,
+            length_step=f.length_step,
+            damping=f.damping,
+            settled_step=f.settled_step,
+        )
+        k = c.controller
+        inverse_kinematics = InverseKinematics(
+            self.gain("controller.K", k.K, 3), k.damping, k.null_gain, k.epsilon, k.bend_rate, k.length_rate
+        )
+        return APCCController(
+            backbone,
+            feedback,
+            SavitzkyGolay(c.velocity_filter.window, c.velocity_filter.order),
+            inverse_kinematics,
+            law,
+            routing=self.routing(),
+            adaptive=k.adaptive if adaptive is None else adaptive,
+            velocity=c.velocity_filter.velocity,
+            bend_bound=k.bend_bound,
+            elongation_bound=k.elongation_bound,
+        )
+
+    def sine(self) -> SineTrajectory:
+        """Eq. (51)'s trajectory."""
+        e = self.config.experiment
+        if e.r_0 is None or e.A is None:
+            raise ConfigError("experiment.r_0 and experiment.A must be given for a sine trajectory")
+        omega = 0.2 * pi if e.omega is None else e.omega
+        return SineTrajectory(self.vector("experiment.r_0", e.r_0, 3), self.vector("experiment.A", e.A, 3), omega)
+
+    def setpoints(self) -> Tensor:
+        """(S, 3) set-points, m."""
+        points = self.config.experiment.setpoints
+        if not points:
+            raise ConfigError("experiment.setpoints must list at least one point [x, y, z]")
+        return torch.stack([self.vector(f"experiment.setpoints[{i}]", p, 3) for i, p in enumerate(points)])
+
+    def payloads(self) -> Tensor:
+        """(P,) payloads, kg."""
+        payloads = self.vector("experiment.payloads", self.config.experiment.payloads)
+        if payloads.shape[0] == 0 or not bool((payloads >= 0).all()):
+            raise ConfigError(f"experiment.payloads must be zero or positive, got {self.config.experiment.payloads}")
+        return payloads
+
+    def grid(self) -> tuple[SetPoint, Tensor]:
+        """Every set-point with every payload: (S P, 3) targets, payload fastest, and (S P,) payloads."""
+        points, payloads = self.setpoints(), self.payloads()
+        rows = points.repeat_interleave(payloads.shape[0], dim=0)
+        return SetPoint(rows), payloads.repeat(points.shape[0])
+
+    def dynamics(self) -> SoftArmDynamics:
+        """The true arm's dynamics."""
+        p: PlantConfig = self.config.plant
+        lengths = self.vector("plant.lengths", p.lengths)
+        axial, bending = scaled_stiffness(
+            lengths, p.stiffness_reference, p.axial_stiffness, p.bending_stiffness, p.stiffness_rule
+        )
+        masses = p.mass * lengths / lengths.sum()
+        return SoftArmDynamics(
+            lengths, masses, axial, bending, damping_ratio=p.damping_ratio, base_rotation=self.base_rotation()
+        )
+
+    def plant(self, payload: Tensor) -> Plant:
+        """The true arm with its tendons and their PID loop, one row a payload."""
+        p = self.config.plant
+        pid = TendonPID(p.K_P, p.K_I, p.K_D, p.force_limit)
+        return Plant(self.dynamics(), self.routing(p.layout), pid, payload, p.tendon_damping)
+
+    def pose_sensors(self) -> PoseSensors:
+        """What stands between the true poses and the controller."""
+        s = self.config.sensors
+        return PoseSensors(s.position_noise, s.angular_noise, s.delay, s.dropout)

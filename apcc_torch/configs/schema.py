@@ -1,0 +1,165 @@
+"""Everything that can be set, with its type. Values and meanings stand in conf/; a wrong key or type is refused."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+from omegaconf import MISSING
+
+
+@dataclass
+class RobotConfig:
+    """The model: what the controller believes about the arm."""
+
+    rest_lengths: list[float] = MISSING
+    initial_estimate: list[float] | None = None
+    base: str = "hanging"
+    sensors: list[float] = MISSING
+    racks: list[float] = MISSING
+    tendon_offset: float = 0.027
+    tendons_per_rack: int = 3
+    rack_twist: float = 0.5235987755982988
+    layout: str = "coupled"
+
+
+@dataclass
+class PlantConfig:
+    """The true arm."""
+
+    lengths: list[float] = MISSING
+    mass: float = 1.0
+    axial_stiffness: float = 100.0
+    bending_stiffness: float = 0.778
+    stiffness_reference: float = 0.1
+    stiffness_rule: str = "series"
+    damping_ratio: float = 0.1
+    layout: str = "coupled"
+    K_P: float = 750.0
+    K_I: float = 1.0
+    K_D: float = 5.0
+    force_limit: float | None = None
+    tendon_damping: float = 200.0
+    substeps: int = 4
+    settle: float = 3.0
+
+
+@dataclass
+class SensorsConfig:
+    """What the sensors add to the truth."""
+
+    position_noise: float = 0.0
+    angular_noise: float = 0.0
+    delay: int = 0
+    dropout: float = 0.0
+
+
+@dataclass
+class FeedbackConfig:
+    """Algorithm 2."""
+
+    mode: str = "pose"
+    angular_weight: float = 1.0
+    max_iterations: int = 7
+    min_iterations: int = 1
+    linear_threshold: float = 1e-4
+    angular_threshold: float = 5e-3
+    bend_step: float = 0.6
+    length_step: float = 0.1
+    damping: float = 1e-8
+    settled_step: float = 1e-7
+
+
+@dataclass
+class VelocityFilterConfig:
+    """The Savitzky-Golay filter and which velocity the regressor uses."""
+
+    window: int = 15
+    order: int = 2
+    velocity: str = "measured"
+
+
+@dataclass
+class ControllerConfig:
+    """Inverse kinematics and the gains."""
+
+    adaptive: bool = True
+    rate: float = 100.0
+    K: Any = 1.0
+    gamma: Any = 1.0
+    damping: float = 1e-3
+    null_gain: float = 0.2
+    epsilon: float = 5e-3
+    bend_rate: float | None = None
+    length_rate: float | None = None
+    bend_bound: float | None = None
+    elongation_bound: float | None = None
+
+
+@dataclass
+class AdaptationConfig:
+    """The law."""
+
+    regressor: str = "estimator_aware"
+    gain_scale: float = 1.0
+    lower: list[float] | None = None
+    upper: list[float] | None = None
+    rate: float | None = None
+    normalisation: float = 0.0
+    dead_zone: float = 0.0
+    reach: float | None = None
+
+
+@dataclass
+class ReplayConfig:
+    """How a recording is read."""
+
+    layout: str = "columns"
+    rate: float = 100.0
+    direction: list[float] | None = None
+    forward: list[float] | None = None
+    base_position: list[float] | None = None
+    first_abscissa: float | None = None
+    max_twist: float = 0.8
+    max_speed: float = 2.0
+    max_angular_rate: float = 12.0
+    frames: int | None = None
+
+
+@dataclass
+class ExperimentConfig:
+    """What is run."""
+
+    name: str = MISSING
+    kind: str = MISSING
+    duration: float = 10.0
+    r_0: list[float] | None = None
+    A: list[float] | None = None
+    omega: float | None = None
+    setpoints: list[list[float]] | None = None
+    payloads: list[float] = field(default_factory=lambda: [0.0])
+    start_errors: int = 0
+    start_error: float = 0.15
+
+
+@dataclass
+class SimulateConfig:
+    """Root of `python -m apcc_torch.simulate`."""
+
+    robot: RobotConfig = field(default_factory=RobotConfig)
+    plant: PlantConfig = field(default_factory=PlantConfig)
+    sensors: SensorsConfig = field(default_factory=SensorsConfig)
+    feedback: FeedbackConfig = field(default_factory=FeedbackConfig)
+    velocity_filter: VelocityFilterConfig = field(default_factory=VelocityFilterConfig)
+    controller: ControllerConfig = field(default_factory=ControllerConfig)
+    adaptation: AdaptationConfig = field(default_factory=AdaptationConfig)
+    replay: ReplayConfig = field(default_factory=ReplayConfig)
+    experiment: ExperimentConfig = field(default_factory=ExperimentConfig)
+    state: str = "feedback"
+    data: str | None = None
+    seed: int = 0
+    dtype: str = "float64"
+    device: str = "cpu"
+    threads: int | None = 1
+    figures: bool = True
+    progress: bool = True

@@ -1,0 +1,181 @@
+"""Section V-B, Appendix A and tracking on the dynamic arm: settings to a folder with metrics, data and figures."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from apcc_torch.configs.build import Builder
+from apcc_torch.configs.schema import SimulateConfig
+from apcc_torch.control.inverse_kinematics import elongation_cost
+from apcc_torch.experiments.folder import RunFolder, progress_bar
+from apcc_torch.model.backbone import PCCBackbone
+from apcc_torch.report import dynamic as figures
+from apcc_torch.report.animation import save_animation
+from apcc_torch.report.backbone_drawing import Snapshots, marker_positions, spread_indices, stroboscopic_figure
+from apcc_torch.report.style import save_figures
+from apcc_torch.simulation.dynamic import DynamicLog, DynamicSettings, simulate_dynamic
+from apcc_torch.simulation.metrics import backbone_error, mapping_error
+from apcc_torch.simulation.trajectory import Trajectory
+
+INSTANTS = 200
+"""Largest number of instants at which backbones are compared."""
+SETTLED = 0.01
+"""End-effector error below which a run counts as settled, m."""
+
+
+class Arms(NamedTuple):
+    """The true arm and the model of a run."""
+
+    true: PCCBackbone
+    true_lengths: Tensor  # (n_t,) m
+    model: PCCBackbone
+    sensors: Tensor  # (k,) m
+
+
+def simulate(config: SimulateConfig, adaptive: bool, label: str) -> tuple[DynamicLog, Arms]:
+    """Runs the whole grid, set-points by payloads, with one controller.
+
+    Args:
+        config: Settings.
+        adaptive: The A-PCC controller, or the standard one.
+        label: Of the progress bar.
+
+    Raises:
+        ConfigError, ValueRangeError: A setting has no meaning.
+    """
+    build = Builder(config)
+    controller = build.controller(adaptive)
+    trajectory: Trajectory
+    if config.experiment.setpoints:
+        trajectory, payload = build.grid()
+    else:
+        trajectory, payload = build.sine(), build.payloads()
+    plant = build.plant(payload)
+    settings = DynamicSettings(
+        config.experiment.duration, config.controller.rate, config.plant.substeps, config.plant.settle
+    )
+    generator = torch.Generator(build.device).manual_seed(config.seed)
+    with torch.inference_mode():
+        log = simulate_dynamic(
+            plant,
+            controller,
+            build.pose_sensors(),
+            trajectory,
+            build.first_estimate(),
+            settings,
+            generator,
+            progress_bar(label, config.progress),
+        )
+    return log, Arms(plant.backbone, plant.dynamics.lengths, controller.backbone, controller.feedback.abscissae)
+
+
+def thinned(log: DynamicLog, instants: int = INSTANTS) -> DynamicLog:
+    """Every n-th row in time, the last one included, so that at most about `instants` are left."""
+    T = log.time.shape[0]
+    stride = max(1, -(-(T - 1) // instants))
+    index = torch.arange(T - 1, -1, -stride, device=log.time.device).flip(0)
+    return DynamicLog(*[*(field[index] for field in log[:-1]), log.diverged_at])
+
+
+def curves(log: DynamicLog, arms: Arms) -> figures.RunCurves:
+    """The measures of the paper over time, at the instants of the log."""
+    with torch.inference_mode():
+        shape = backbone_error(arms.true, log.q_true, arms.true_lengths, arms.model, log.q_bar, log.pi_hat)
+        mapped = mapping_error(arms.model, log.q_d, log.pi_hat, log.x)
+    return figures.RunCurves(
+        time=log.time,
+        shape_error=shape,
+        psi=elongation_cost(log.q_bar),
+        angular=log.angular_error,
+        linear=log.linear_error,
+        e=(log.x_d - log.x).norm(dim=-1),
+        pi_hat=log.pi_hat,
+        mapping_error=mapped,
+    )
+
+
+def dynamic_metrics(c: figures.RunCurves, diverged_at: Tensor) -> dict[str, float]:
+    """Flat metrics over all runs and instants, SI units in the names."""
+    last = c.time >= c.time[-1] - 5.0
+    above = (c.e > SETTLED).to(torch.int64)
+    # The first instant after the last one above the threshold; the end of the run where it never settles.
+    after = (above * torch.arange(1, c.time.shape[0] + 1, device=c.time.device).unsqueeze(-1)).amax(0)
+    settling = c.time[after.clamp(max=c.time.shape[0] - 1)]
+    metrics = {
+        "end_effector_error_end_mm": 1e3 * c.e[-1].mean(),
+        "end_effector_error_end_max_mm": 1e3 * c.e[-1].max(),
+        "end_effector_error_last5s_max_mm": 1e3 * c.e[last].max(),
+        "settled_share": (c.e[-1] <= SETTLED).double().mean(),
+        "settling_mean_s": settling.mean(),
+        "shape_error_mean_mm": 1e3 * c.shape_error.mean(),
+        "shape_error_max_mm": 1e3 * c.shape_error.max(),
+        "shape_error_min_mm": 1e3 * c.shape_error.min(),
+        "shape_error_end_mm": 1e3 * c.shape_error[-1].mean(),
+        "shape_error_last5s_max_mm": 1e3 * c.shape_error[last].max(),
+        "psi_mean_cm": 1e2 * c.psi.mean(),
+        "psi_max_cm": 1e2 * c.psi.max(),
+        "psi_min_cm": 1e2 * c.psi.min(),
+        "sensor_error_linear_mean_mm": 1e3 * c.linear.mean(),
+        "sensor_error_angular_mean_rad": c.angular.mean(),
+        "mapping_error_mean_mm": 1e3 * c.mapping_error.mean(),
+        "pi_error_end_max_mm": 1e3 * (c.pi_hat[-1] - c.pi_hat[0]).abs().max(),
+    }
+    for i in range(c.linear.shape[-1]):
+        metrics[f"sensor_{i + 1}_error_linear_mean_mm"] = 1e3 * c.linear[..., i].mean()
+        metrics[f"sensor_{i + 1}_error_angular_mean_rad"] = c.angular[..., i].mean()
+    metrics["rows"] = torch.tensor(float(c.e.shape[1]))
+    metrics["diverged_rows"] = (diverged_at >= 0).sum()
+    return {name: float(value) for name, value in metrics.items()}
+
+
+def snapshots(log: DynamicLog, arms: Arms, row: int, count: int | None) -> Snapshots:
+    """Moments of one run: `count` of them spread over it, or all of the log's."""
+    if count is None:
+        at = list(range(log.time.shape[0]))
+    else:
+        at = list(spread_indices(log.time, 0.0, float(log.time[-1]), count))
+    q_true, q, pi_hat = log.q_true[at, row], log.q_bar[at, row], log.pi_hat[at, row]
+    return Snapshots(
+        log.time[at],
+        arms.true.points(q_true, arms.true_lengths, 80),
+        arms.model.points(q, pi_hat, 80),
+        marker_positions(arms.true, q_true, arms.true_lengths, arms.sensors),
+        marker_positions(arms.model, q, pi_hat, arms.sensors),
+        log.x_d[at, row],
+    )
+
+
+def run(config: SimulateConfig, folder: Path) -> dict[str, float]:
+    """Runs the configured controller over the grid and writes its folder; returns the metrics.
+
+    Raises:
+        ConfigError, ValueRangeError: A setting has no meaning.
+    """
+    started = time.perf_counter()
+    name = "adaptive" if config.controller.adaptive else "standard"
+    log, arms = simulate(config, config.controller.adaptive, f"{config.experiment.name}, {name}")
+    thin = thinned(log)
+    c = curves(thin, arms)
+    metrics = dynamic_metrics(c, log.diverged_at)
+    if config.figures:
+        runs = {name: c}
+        pictures = {
+            "shape_error.png": figures.shape_error_figure(runs),
+            "psi.png": figures.psi_figure(runs),
+            "parameters.png": figures.parameter_figure(runs),
+            "sensors.png": figures.sensor_figure(runs),
+            "end_effector.png": figures.end_effector_figure(runs),
+            "mapping_error.png": figures.mapping_error_figure(runs),
+            "stroboscopic.png": stroboscopic_figure({name: snapshots(thin, arms, -1, 6)}),
+        }
+        save_figures(pictures, folder / "figures")
+        film = {"shape error (mm)": 1e3 * c.shape_error[:, -1], "end-effector error (mm)": 1e3 * c.e[:, -1]}
+        save_animation(folder / "figures" / "animation", snapshots(thin, arms, -1, None), film)
+    metrics["wall_s"] = time.perf_counter() - started
+    RunFolder(folder).write(metrics, log._asdict(), config.seed)
+    return metrics

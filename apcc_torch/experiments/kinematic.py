@@ -1,0 +1,113 @@
+"""Section V-A: settings to a folder with metrics, the trajectory and figures 7, 8 and 9."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from apcc_torch.configs.build import Builder, choice
+from apcc_torch.configs.schema import SimulateConfig
+from apcc_torch.control.inverse_kinematics import elongation_cost
+from apcc_torch.errors import ConfigError
+from apcc_torch.experiments.folder import RunFolder, progress_bar
+from apcc_torch.model.backbone import PCCBackbone
+from apcc_torch.report.kinematic import kinematic_figures, select_row
+from apcc_torch.report.style import save_figures
+from apcc_torch.simulation.kinematic import KinematicLog, simulate_exact, simulate_feedback
+from apcc_torch.simulation.metrics import backbone_error
+
+SHAPE_SAMPLES = 1000
+"""Largest number of instants at which the shape error is computed."""
+
+
+def kinematic_metrics(log: KinematicLog, backbone: PCCBackbone, pi: Tensor) -> dict[str, float]:
+    """Flat metrics of a run, SI units in the names; over all rows, and the worst row where a name says max.
+
+    Args:
+        log: Time first, (T, R, ...).
+        backbone: True arm and model alike.
+        pi: (n_b,) true rest lengths, m.
+    """
+    stride = max(1, log.time.shape[0] // SHAPE_SAMPLES)
+    last = log.time >= log.time[-1] - 5.0
+    shape = backbone_error(backbone, log.q_true[::stride], pi, backbone, log.q_bar[::stride], log.pi_hat[::stride])
+    shape_end = backbone_error(backbone, log.q_true[-1], pi, backbone, log.q_bar[-1], log.pi_hat[-1])
+    e = (log.x_d - log.x).norm(dim=-1)
+    psi = elongation_cost(log.q_bar)
+    gap = (log.pi_hat[-1] - pi).abs()
+    # A row counts as diverged where it is not finite or its tip is farther off than the arm is long.
+    diverged = ~(e.amax(0) < pi.sum()) | ~torch.isfinite(log.q_bar).all(-1).all(0)
+    metrics = {
+        "end_effector_error_end_mm": 1e3 * e[-1].max(),
+        "end_effector_error_mean_mm": 1e3 * e.mean(),
+        "end_effector_error_last5s_max_mm": 1e3 * e[last].max(),
+        "shape_error_mean_mm": 1e3 * shape.mean(),
+        "shape_error_max_mm": 1e3 * shape.max(),
+        "shape_error_min_mm": 1e3 * shape.min(),
+        "shape_error_end_mm": 1e3 * shape_end.max(),
+        "shape_error_last5s_max_mm": 1e3 * shape[last[::stride]].max(),
+        "psi_mean_cm": 1e2 * psi.mean(),
+        "psi_max_cm": 1e2 * psi.max(),
+        "sensor_error_linear_mean_mm": 1e3 * log.linear_error.mean(),
+        "sensor_error_angular_mean_rad": log.angular_error.mean(),
+        "pi_error_end_max_mm": 1e3 * gap.max(),
+        **{f"pi_hat_{i + 1}_end_m": log.pi_hat[-1, 0, i] for i in range(pi.shape[0])},
+        "rows": log.q_bar.shape[1],
+        "diverged_rows": diverged.sum(),
+    }
+    return {name: float(value) for name, value in metrics.items()}
+
+
+def run(config: SimulateConfig, folder: Path) -> dict[str, float]:
+    """Runs section V-A and writes its folder; returns the metrics.
+
+    Row 0 starts from `robot.initial_estimate`; `experiment.start_errors` more rows start from random estimates. The
+    headline metrics are row 0's, those named `all_rows_...` are over every row.
+
+    Raises:
+        ConfigError, ValueRangeError: A setting has no meaning.
+    """
+    started = time.perf_counter()
+    build = Builder(config)
+    controller, trajectory = build.controller(), build.sine()
+    pi, pi_hat = build.rest_lengths(), _starts(config, build)
+    simulate = {"exact": simulate_exact, "feedback": simulate_feedback}[
+        choice("state", config.state, ("exact", "feedback"))
+    ]
+    with torch.inference_mode():
+        log = simulate(
+            controller,
+            pi,
+            pi_hat,
+            trajectory,
+            config.experiment.duration,
+            config.controller.rate,
+            progress_bar("section V-A", config.progress),
+        )
+        first = KinematicLog(*(field if field.dim() == 1 else field[:, :1] for field in log))
+        metrics = kinematic_metrics(first, controller.backbone, pi)
+        every = kinematic_metrics(log, controller.backbone, pi) if pi_hat.shape[0] > 1 else metrics
+    metrics |= {
+        f"all_rows_{name}": value for name, value in every.items() if pi_hat.shape[0] > 1 and "pi_hat" not in name
+    }
+    metrics |= {"rows": every["rows"], "diverged_rows": every["diverged_rows"]}
+    if config.figures:
+        figures = kinematic_figures(select_row(log, 0), pi, controller.feedback.abscissae, controller.backbone)
+        save_figures(figures, folder / "figures")
+    metrics["wall_s"] = time.perf_counter() - started
+    RunFolder(folder).write(metrics, {**log._asdict(), "pi": pi}, config.seed)
+    return metrics
+
+
+def _starts(config: SimulateConfig, build: Builder) -> Tensor:
+    """(1 + start_errors, n_b) first estimates."""
+    e = config.experiment
+    if e.start_errors < 0 or not 0 < e.start_error < 1:
+        raise ConfigError("experiment.start_errors must be zero or more and experiment.start_error between 0 and 1")
+    generator = torch.Generator().manual_seed(config.seed)
+    draws = torch.rand(e.start_errors, build.n_sections, generator=generator, dtype=torch.float64)
+    scale = (1.0 + e.start_error * (2.0 * draws - 1.0)).to(dtype=build.dtype, device=build.device)
+    return torch.cat((build.first_estimate().unsqueeze(0), build.rest_lengths() * scale))

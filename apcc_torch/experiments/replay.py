@@ -1,0 +1,88 @@
+"""Replay of a recording: settings to a folder with q_bar(t), residuals, what was gated and why, and a figure."""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from pathlib import Path
+
+import torch
+
+from apcc_torch.configs.build import Builder
+from apcc_torch.configs.schema import SimulateConfig
+from apcc_torch.errors import ConfigError
+from apcc_torch.experiments.folder import RunFolder, progress_bar
+from apcc_torch.report.replay import ReplayCurves, replay_figure
+from apcc_torch.report.style import save_figures
+from apcc_torch.simulation.calibration import calibrate
+from apcc_torch.simulation.gating import SensorGate
+from apcc_torch.simulation.recording import load_recording
+from apcc_torch.simulation.replay import held_out_error, replay
+from apcc_torch.simulation.replay_log import replay_metrics
+
+
+def run(config: SimulateConfig, folder: Path) -> dict[str, float]:
+    """Replays `data` and writes the run's folder; returns the metrics.
+
+    The calibration of the rest pose replaces the robot's sensor abscissae and rest lengths, one section ending at each
+    sensor. With controller.adaptive=true the whole controller looks on and adapts, driven by the recorded target, or by
+    the prediction of the tip where the recording has none.
+
+    Raises:
+        ConfigError: No data is named, or a setting has no meaning.
+        DataError: The recording cannot be read.
+    """
+    started = time.perf_counter()
+    r = config.replay
+    if config.data is None:
+        raise ConfigError("data must name the folder or file of a recording: experiment=replay data=FOLDER")
+    recording = load_recording(config.data, layout=r.layout, rate=r.rate)
+    calibration = calibrate(
+        recording,
+        direction=r.direction,
+        forward=r.forward,
+        base_position=r.base_position,
+        first_abscissa=r.first_abscissa,
+    )
+    lengths = [float(v) for v in calibration.rest_lengths]
+    abscissae = [float(v) for v in calibration.abscissae]
+    robot = dataclasses.replace(config.robot, rest_lengths=lengths, sensors=abscissae, racks=abscissae)
+    build = Builder(dataclasses.replace(config, robot=robot))
+    controller = build.controller()
+    gate = SensorGate(
+        len(abscissae),
+        max_speed=r.max_speed,
+        max_angular_rate=r.max_angular_rate,
+        max_twist=r.max_twist,
+        max_reach=[1.5 * a for a in abscissae],
+    )
+    frames = slice(r.frames)
+    with torch.inference_mode():
+        log = replay(
+            recording,
+            calibration,
+            controller if config.controller.adaptive else controller.feedback,
+            gate,
+            pi_hat=build.first_estimate(),
+            frames=frames,
+            progress=progress_bar("replay", config.progress),
+        )
+        held_out = held_out_error(
+            recording,
+            calibration,
+            controller.feedback,
+            gate,
+            frames=frames,
+            progress=progress_bar("held out", config.progress),
+        )
+        metrics = replay_metrics(log, recording.names, controller.feedback, held_out)
+    if config.figures:
+        curves = ReplayCurves(
+            log.time, log.q_bar, log.angular_error, log.linear_error, log.position_reason, log.orientation_reason
+        )
+        title = Path(config.data).name
+        save_figures({"replay.png": replay_figure(curves, recording.names, title)}, folder / "figures")
+    calibration.save(folder / "calibration.json")
+    metrics["wall_s"] = time.perf_counter() - started
+    RunFolder(folder).write(metrics, log._asdict(), config.seed)
+    return metrics

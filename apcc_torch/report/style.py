@@ -1,0 +1,150 @@
+"""The one look of every figure: colours, sizes, axes and files. No figure touches matplotlib's global state."""
+
+from __future__ import annotations
+
+import io
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib import colors
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+from numpy.typing import NDArray
+from torch import Tensor
+
+Array = NDArray[Any]
+
+# Okabe and Ito's palette, told apart under every common colour blindness; identities keep one colour in all figures.
+BLUE, ORANGE, GREEN, PURPLE, SKY, VERMILION = "#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00"
+INK, MUTED, EDGE, GRID = "#1f2933", "#5b6670", "#9aa5b1", "#e4e7eb"
+TRUE, MODEL, SENSOR, TARGET = "#3e4c59", BLUE, "#d62839", GREEN
+CONTROLLERS = {"standard": VERMILION, "adaptive": BLUE}
+SERIES = (BLUE, ORANGE, GREEN, PURPLE, SKY, VERMILION)
+DASHES: tuple[Any, ...] = ("-", (0, (5, 2)), (0, (1.2, 1.4)), (0, (6, 2, 1.2, 2)))
+
+TITLE, LABEL, TICK, LEGEND = 13.0, 12.0, 11.0, 11.0
+LINE = 2.0
+DPI = 150
+
+
+def values(tensor: Tensor) -> Array:
+    """The tensor's numbers as a numpy array on the CPU."""
+    return tensor.detach().cpu().numpy()
+
+
+def new_figure(width: float = 10.0, height: float = 6.0, constrained: bool = True) -> Figure:
+    """An empty white figure of width x height inches; `constrained` lets matplotlib place the axes."""
+    return Figure(figsize=(width, height), facecolor="white", layout="constrained" if constrained else None)
+
+
+def dress(ax: Axes, x: str = "", y: str = "", title: str = "") -> None:
+    """Labels with units, a light grid behind the data, and two spines instead of four."""
+    ax.set_xlabel(x, fontsize=LABEL, color=INK)
+    ax.set_ylabel(y, fontsize=LABEL, color=INK)
+    if title:
+        ax.set_title(title, fontsize=TITLE, color=INK, loc="left", pad=8)
+    ax.tick_params(labelsize=TICK, colors=MUTED, length=3)
+    ax.grid(True, color=GRID, linewidth=0.9)
+    ax.set_axisbelow(True)
+    for side in ("top", "right"):
+        ax.spines[side].set_visible(False)
+    for side in ("left", "bottom"):
+        ax.spines[side].set_color(EDGE)
+
+
+def legend(ax: Axes, **options: Any) -> None:
+    """A legend in the common look, where the axes hold labelled artists."""
+    if not ax.get_legend_handles_labels()[1]:
+        return
+    look: dict[str, Any] = {"fontsize": LEGEND, "labelcolor": INK, "frameon": True, "framealpha": 0.9}
+    look |= {"edgecolor": "none", "facecolor": "white", "handlelength": 2.2, "borderaxespad": 0.3}
+    ax.legend(**(look | options))
+
+
+def fit_time(ax: Axes, time: Array) -> None:
+    """Time limits that touch the data."""
+    if len(time) > 1 and time[-1] > time[0]:
+        ax.set_xlim(float(time[0]), float(time[-1]))
+
+
+def log_scale(ax: Axes, data: Sequence[Array], decades: float = 5.0) -> None:
+    """A logarithmic y axis over at most so many decades below the largest value; linear where nothing is positive."""
+    flat = np.concatenate([np.ravel(d) for d in data])
+    positive = flat[np.isfinite(flat) & (flat > 0)]
+    if not positive.size:
+        return
+    top = float(positive.max())
+    bottom = max(float(np.quantile(positive, 0.005)), top * 10.0**-decades)
+    ax.set_yscale("log", nonpositive="mask")
+    low, high = float(10.0 ** np.floor(np.log10(bottom))), 1.6 * top
+    if high / low < 150:  # so that at least two decades are numbered
+        high = max(high, float(10.0 ** np.ceil(np.log10(top))))
+    ax.set_ylim(low, high)
+    ax.yaxis.set_major_locator(LogLocator(10, numticks=6))
+    ax.yaxis.set_major_formatter(FuncFormatter(lambda v, _: f"{v:g}"))
+    ax.yaxis.set_minor_formatter(NullFormatter())
+
+
+def from_zero(ax: Axes, headroom: float = 1.08) -> None:
+    """A linear y axis that starts at zero."""
+    top = ax.get_ylim()[1]
+    if top > 0:
+        ax.set_ylim(0.0, headroom * top)
+
+
+def faded(color: str, strength: float) -> tuple[float, float, float]:
+    """The colour mixed with white: strength 1 is the colour, 0 white."""
+    return tuple(1.0 - strength * (1.0 - c) for c in colors.to_rgb(color))  # type: ignore[return-value]
+
+
+def digits(value: float) -> str:
+    """A number with three significant digits, trailing zeros kept: 1.30, 0.0412, 123."""
+    return f"{value:#.3g}".rstrip(".")
+
+
+def controller_color(name: str, index: int) -> str:
+    """The controller's colour in all figures; by position for a name the toolkit does not know."""
+    return CONTROLLERS.get(name, SERIES[index % len(SERIES)])
+
+
+def save_figure(figure: Figure, path: Path | str, dpi: float = DPI) -> Path:
+    """Writes the figure in the format of the path's suffix, so that a reader never meets half a file.
+
+    Args:
+        figure: The figure.
+        path: Where to; the folder is made if it is not there.
+        dpi: Pixels an inch.
+
+    Returns:
+        The path.
+    """
+    target = Path(path)
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format=target.suffix.lstrip(".") or "png", dpi=dpi)
+    return write_bytes_atomically(target, buffer.getvalue())
+
+
+def save_figures(figures: Mapping[str, Figure], folder: Path | str, dpi: float = DPI) -> list[Path]:
+    """`save_figure` for each {file name: figure} of a set, into one folder."""
+    return [save_figure(figure, Path(folder) / name, dpi) for name, figure in figures.items()]
+
+
+def draft_of(path: Path) -> Path:
+    """A name beside `path`, with its suffix, to write to before it is moved into place; the folder is made."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    return path.with_name(f".{path.stem}.{os.getpid()}.draft{path.suffix}")
+
+
+def write_bytes_atomically(path: Path, data: bytes) -> Path:
+    """Writes a file by way of a draft beside it."""
+    draft = draft_of(path)
+    try:
+        draft.write_bytes(data)
+        os.replace(draft, path)
+    finally:
+        draft.unlink(missing_ok=True)
+    return path

@@ -1,0 +1,79 @@
+"""python -m apcc_torch.simulate: run one experiment, or sweep it, from the configurations in conf/."""
+
+from __future__ import annotations
+
+import logging
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import hydra
+import torch
+from hydra.core.config_store import ConfigStore
+from hydra.core.hydra_config import HydraConfig
+from omegaconf import DictConfig, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+
+from apcc_torch.conf_path import conf_path
+from apcc_torch.configs.build import choice
+from apcc_torch.configs.schema import SimulateConfig
+from apcc_torch.errors import ApccError, ConfigError
+from apcc_torch.experiments import dynamic, kinematic, replay
+from apcc_torch.files import write_atomically
+
+log = logging.getLogger("apcc_torch.simulate")
+
+EXPERIMENTS: dict[str, Callable[[SimulateConfig, Path], dict[str, float]]] = {
+    "dynamic": dynamic.run,
+    "kinematic": kinematic.run,
+    "replay": replay.run,
+}
+
+ConfigStore.instance().store(name="simulate_schema", node=SimulateConfig)
+
+
+def typed(cfg: DictConfig) -> SimulateConfig:
+    """The settings as a dataclass.
+
+    Raises:
+        ConfigError: A value is missing or of the wrong type.
+    """
+    try:
+        config = OmegaConf.to_object(cfg)
+    except OmegaConfBaseException as error:
+        raise ConfigError(str(error).splitlines()[0]) from error
+    assert isinstance(config, SimulateConfig)  # what the schema makes of any composed configuration
+    return config
+
+
+def run(cfg: DictConfig, folder: Path) -> dict[str, float]:
+    """Runs the configured experiment into `folder` and returns its metrics."""
+    config = typed(cfg)
+    if config.threads is not None:
+        torch.set_num_threads(config.threads)
+    kind = choice("experiment.kind", config.experiment.kind, tuple(EXPERIMENTS))
+    write_atomically(folder / "config.yaml", OmegaConf.to_yaml(cfg, resolve=True))
+    return EXPERIMENTS[kind](config, folder)
+
+
+@hydra.main(version_base="1.3", config_path=conf_path(), config_name="simulate")
+def _hydra_main(cfg: DictConfig) -> None:
+    folder = Path(HydraConfig.get().runtime.output_dir)
+    try:
+        metrics = run(cfg, folder)
+    except ApccError as error:
+        # A wrong setting is the user's to mend: one sentence, no stack.
+        log.error("%s", error)
+        sys.exit(2)
+    width = max(len(name) for name in metrics)
+    lines = "\n".join(f"  {name:<{width}}  {value:.6g}" for name, value in metrics.items())
+    log.info("results in %s\n%s", folder, lines)
+
+
+def main() -> None:
+    """Console entry point."""
+    _hydra_main()
+
+
+if __name__ == "__main__":
+    main()
