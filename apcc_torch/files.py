@@ -1,28 +1,46 @@
-"""Files are written whole or not at all: into a draft beside them, then renamed."""
+"""Files are written whole or not at all: into a draft beside them, then moved into place."""
 
 from __future__ import annotations
 
 import io
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 from torch import Tensor
 
 
-def write_atomically(path: Path | str, content: bytes | str) -> Path:
-    """Writes `content` to `path` whole, creating its folder; text as UTF-8."""
+@contextmanager
+def draft_of(path: Path | str) -> Iterator[Path]:
+    """A name beside `path`, with its suffix, to write to: moved into place if the block ends well, else removed.
+
+    The folder is made if it is not there.
+    """
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
-    draft = path.with_name(f".{path.name}.{os.getpid()}.draft")
+    draft = path.with_name(f".{path.stem}.{os.getpid()}.draft{path.suffix}")
     try:
-        draft.write_bytes(content.encode("utf-8") if isinstance(content, str) else content)
+        yield draft
         os.replace(draft, path)
     finally:
         draft.unlink(missing_ok=True)
-    return path
+
+
+def write_atomically(path: Path | str, content: bytes | str) -> Path:
+    """Writes `content` to `path` so that a reader, or a crash, never meets half of it; text as UTF-8, as it is.
+
+    Returns:
+        The path.
+    """
+    with draft_of(path) as draft, draft.open("wb") as file:
+        file.write(content.encode("utf-8") if isinstance(content, str) else content)
+        # On the disk before the name is: after a crash the old file is there, or the new one whole.
+        file.flush()
+        os.fsync(file.fileno())
+    return Path(path)
 
 
 def write_json(path: Path | str, data: Mapping[str, object]) -> Path:

@@ -14,9 +14,7 @@ def solve_spd(A: Tensor, B: Tensor) -> Tensor:
         B: (..., n, m).
     """
     factor, failed = torch.linalg.cholesky_ex(A)
-    batch = torch.broadcast_shapes(A.shape[:-2], B.shape[:-2])
-    solution = torch.cholesky_solve(B.expand(*batch, *B.shape[-2:]), factor.expand(*batch, *A.shape[-2:]))
-    return torch.where((failed == 0)[..., None, None], solution, torch.nan)
+    return torch.cholesky_solve(B, factor).masked_fill(failed[..., None, None] != 0, torch.nan)
 
 
 def damped_pseudo_inverse(J: Tensor, damping: float | Tensor) -> Tensor:

@@ -72,6 +72,10 @@ def _hydra_main(cfg: DictConfig) -> None:
 
 def main() -> None:
     """Console entry point."""
+    asked = sys.argv[1:]
+    if {"-h", "--help"} & set(asked) and not any(argument.startswith("experiment=") for argument in asked):
+        # The manual ends with every key and its value, and only a chosen experiment has them all.
+        sys.argv.append("experiment=kinematic")
     _hydra_main()
 
 

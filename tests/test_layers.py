@@ -23,6 +23,7 @@ MAX_LINES = 330
 # never another unit of its own line. The longest name wins: "report.__main__" is a program, the rest of report is not.
 LAYERS: tuple[tuple[str, ...], ...] = (
     ("errors",),
+    ("files",),
     ("shapes", "conf_path"),
     ("linalg",),
     ("lie",),
@@ -33,6 +34,7 @@ LAYERS: tuple[tuple[str, ...], ...] = (
     ("",),  # apcc_torch/__init__.py, the public surface
     ("envs", "hardware", "report"),
     ("configs",),
+    ("experiments",),
     ("simulate",),
     ("benchmark", "identify", "report.__main__", "robot"),
 )

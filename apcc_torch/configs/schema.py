@@ -67,7 +67,7 @@ class FeedbackConfig:
     bend_step: float = 0.6
     length_step: float = 0.1
     damping: float = 1e-8
-    settled_step: float = 1e-7
+    settled_step: float = 5e-6
 
 
 @dataclass
@@ -114,15 +114,15 @@ class AdaptationConfig:
 class ReplayConfig:
     """How a recording is read."""
 
-    layout: str = "columns"
+    layout: str = "auto"
     rate: float = 100.0
     direction: list[float] | None = None
     forward: list[float] | None = None
     base_position: list[float] | None = None
     first_abscissa: float | None = None
     max_twist: float = 0.8
-    max_speed: float = 2.0
-    max_angular_rate: float = 12.0
+    max_speed: float = 1.0
+    max_angular_rate: float = 8.0
     frames: int | None = None
 
 
@@ -136,7 +136,8 @@ class ExperimentConfig:
     r_0: list[float] | None = None
     A: list[float] | None = None
     omega: float | None = None
-    setpoints: list[list[float]] | None = None
+    # Rows of three numbers; typed, OmegaConf would refuse an integer in a row.
+    setpoints: list[Any] | None = None
     payloads: list[float] = field(default_factory=lambda: [0.0])
     start_errors: int = 0
     start_error: float = 0.15
@@ -160,6 +161,53 @@ class SimulateConfig:
     seed: int = 0
     dtype: str = "float64"
     device: str = "cpu"
+    threads: int | None = 1
+    figures: bool = True
+    progress: bool = True
+
+
+@dataclass
+class PairConfig:
+    """Experiments that a benchmark's run takes each controller's settings from."""
+
+    standard: str = MISSING
+    adaptive: str = MISSING
+
+
+@dataclass
+class ComparisonConfig:
+    """Runs under one idea of which settings to compare, and that idea in words."""
+
+    about: str = ""
+    runs: dict[str, PairConfig] = field(default_factory=dict)
+
+
+@dataclass
+class GridConfig:
+    """What the benchmark runs, and how much of each run."""
+
+    name: str = MISSING
+    comparisons: dict[str, ComparisonConfig] = field(default_factory=dict)
+    setpoints: int | None = None
+    payloads: list[float] | None = None
+    duration: float | None = None
+
+
+@dataclass
+class OverridesConfig:
+    """Overrides of the experiments' settings: of both controllers, and of one."""
+
+    common: list[str] = field(default_factory=list)
+    standard: list[str] = field(default_factory=list)
+    adaptive: list[str] = field(default_factory=list)
+
+
+@dataclass
+class BenchmarkConfig:
+    """Root of `python -m apcc_torch.benchmark`."""
+
+    grid: GridConfig = field(default_factory=GridConfig)
+    experiments: OverridesConfig = field(default_factory=OverridesConfig)
     threads: int | None = 1
     figures: bool = True
     progress: bool = True

@@ -11,7 +11,9 @@ from apcc_torch.control.signals import Command, ControllerState, Measurement, Ta
 from apcc_torch.errors import ValueRangeError
 from apcc_torch.estimation.savitzky_golay import SavitzkyGolay
 from apcc_torch.estimation.state_feedback import StateFeedback
-from apcc_torch.model.backbone import PCCBackbone
+from apcc_torch.model.backbone import PCCBackbone, split_configuration
+from apcc_torch.model.chain import tip_jacobian
+from apcc_torch.model.regressor import jacobian_rate
 from apcc_torch.model.tendons import TendonRouting
 from apcc_torch.shapes import batch_shape, check_same, check_tensor
 
@@ -124,29 +126,35 @@ class APCCController(nn.Module):
         Raises:
             ShapeError, DtypeError: The arguments do not fit each other.
         """
-        self._check(state, measurement, target)
+        batch = self._check(state, measurement, target)
         pi_hat = state.pi_hat
         dt = (measurement.time - state.time).clamp(0.0, self.integration_limit).to(pi_hat.dtype)
-        feedback = self.feedback(state.q_bar, pi_hat, measurement.T, measurement.mask, measurement.angular_mask)
-        q_bar = feedback.q_bar
+        inference = self.feedback.infer(state.q_bar, pi_hat, measurement.T, measurement.mask, measurement.angular_mask)
+        q_bar = inference.feedback.q_bar
         filtered, qdot_bar = self.velocity_filter(state.velocity_filter, q_bar, measurement.time)
 
-        x_hat, J_hat = self.backbone.tip_and_jacobian(q_bar, pi_hat)
-        e = target.x_d - self._measured_tip(measurement, x_hat)
-        qdot = self.inverse_kinematics(J_hat, e, target.xdot_d.expand_as(e), q_bar)
+        # One chain serves the tip, its Jacobian and that Jacobian's rate.
+        chain = self.backbone.chain(q_bar.expand(*batch, q_bar.shape[-1]), pi_hat)
+        e = target.x_d - self._measured_tip(measurement, chain.tip)
+        qdot = self.inverse_kinematics(tip_jacobian(chain), e, target.xdot_d.expand_as(e), q_bar)
         q_d = self._bounded(state.q_d + dt.unsqueeze(-1) * qdot)
         # A step that is not finite is not taken: one bad measurement or target must not stay in the integral.
         q_d = torch.where(torch.isfinite(q_d), q_d, state.q_d)
         if self.adaptive:
-            seen = self.feedback.used(measurement.T, measurement.mask, measurement.angular_mask)
             used = qdot_bar if self.velocity == "measured" else qdot
-            pi_hat = self.law(pi_hat, self.regressor(q_bar, used, pi_hat, *seen), e, dt)
+            if self.law.regressor == "partial":
+                Y, _ = self.backbone.regressor(q_bar, used)
+            else:
+                rate = jacobian_rate(chain, split_configuration(used.expand(*batch, used.shape[-1])))
+                Y = _total_regressor(rate, self.feedback.followed(inference))
+            pi_hat = self.law(pi_hat, Y, e, dt)
         y = None if self.routing is None else self.routing.lengths(q_d - self.reference_damping * qdot_bar, pi_hat)
         later = ControllerState(q_bar, qdot_bar, pi_hat, q_d, qdot, filtered, measurement.time.expand_as(dt))
-        return later, Command(qdot, q_d, y, e, feedback)
+        return later, Command(qdot, q_d, y, e, inference.feedback)
 
     @staticmethod
-    def _check(state: ControllerState, measurement: Measurement, target: Target) -> None:
+    def _check(state: ControllerState, measurement: Measurement, target: Target) -> torch.Size:
+        """The leading shape of the step; raises where the arguments do not fit each other."""
         vectors = {"target.x_d": target.x_d, "target.xdot_d": target.xdot_d}
         if measurement.tip is not None:
             vectors["measurement.tip"] = measurement.tip
@@ -157,7 +165,10 @@ class APCCController(nn.Module):
         check_same(**{"state.q_bar": state.q_bar, "measurement.T": measurement.T, **vectors})
         leading = {name: (vector, 1) for name, vector in vectors.items()}
         leading |= {"measurement.T": (measurement.T, 3), "measurement.time": (measurement.time, 0)}
-        batch_shape(**{"state.q_bar": (state.q_bar, 1), **leading})
+        for name, mask in {"mask": measurement.mask, "angular_mask": measurement.angular_mask}.items():
+            if mask is not None:
+                leading[f"measurement.{name}"] = (mask, 1)
+        return batch_shape(**{"state.q_bar": (state.q_bar, 1), "state.pi_hat": (state.pi_hat, 1), **leading})
 
     def regressor(
         self,
@@ -168,11 +179,10 @@ class APCCController(nn.Module):
         angular_mask: Tensor | None = None,
     ) -> Tensor:
         """The regressor (..., 3, n_b) that the law names: Y of Eq. (2), or the total derivative; see `AdaptiveLaw`."""
-        Y, _ = self.backbone.regressor(q, qdot)
         if self.law.regressor == "partial":
-            return Y
+            return self.backbone.regressor(q, qdot)[0]
         followed = self.feedback.sensitivity(q, pi_hat, mask, angular_mask)
-        return Y + self.backbone.tip_jacobian_rate(q, qdot, pi_hat) @ followed
+        return _total_regressor(self.backbone.tip_jacobian_rate(q, qdot, pi_hat), followed)
 
     def _measured_tip(self, measurement: Measurement, x_hat: Tensor) -> Tensor:
         """The measured end effector; the model's where the measurement is masked or not finite."""
@@ -194,3 +204,8 @@ class APCCController(nn.Module):
         if self.elongation_bound is not None:
             dL = dL.clamp(-self.elongation_bound, self.elongation_bound)
         return torch.stack((x, y, dL), dim=-1).flatten(-2)
+
+
+def _total_regressor(rate: Tensor, followed: Tensor) -> Tensor:
+    """Y + d(J qdot)/dq dq_bar/dpi (..., 3, n_b) from Jdot (..., 3, 3 n_b), whose columns of delta L are Y, Eq. (8)."""
+    return rate[..., 2::3] + rate @ followed

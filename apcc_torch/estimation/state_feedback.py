@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from enum import IntEnum
 from typing import NamedTuple
 
@@ -10,10 +9,12 @@ import torch
 from torch import Tensor, nn
 
 from apcc_torch.errors import DtypeError, ShapeError, ValueRangeError
-from apcc_torch.estimation.step import Residual, hierarchical_step, least_squares_step
+from apcc_torch.estimation.fit import Fit, Problem, evaluate, select
+from apcc_torch.estimation.step import Residual, hierarchical_step, least_squares_step, row_weights
 from apcc_torch.lie import se3
-from apcc_torch.model.abscissae import decouple
-from apcc_torch.model.backbone import PCCBackbone
+from apcc_torch.model.abscissae import located
+from apcc_torch.model.backbone import MaterialPoints, PCCBackbone
+from apcc_torch.model.chain import body_jacobian
 from apcc_torch.shapes import batch_shape, check_finite, check_same, check_tensor
 
 MODES = ("position", "pose", "hierarchical")
@@ -50,13 +51,28 @@ class Feedback(NamedTuple):
     status: Tensor
 
 
-class _Fit(NamedTuple):
-    """One evaluation of the model against the sensors."""
+class Inference(NamedTuple):
+    """Algorithm 2's result with what `StateFeedback.followed` needs of it.
 
-    q: Tensor
-    residual: Residual
+    feedback: The result.
+    pi_hat: (..., n_b) the parameters it was inferred with, m.
+    body: (..., k, 6, 3 n_b) body Jacobians at the sensors, at q_bar.
+    problem: The sensors.
+    """
+
+    feedback: Feedback
+    pi_hat: Tensor
+    body: Tensor
+    problem: Problem
+
+
+class _Scored(NamedTuple):
+    """A fit and how good it is."""
+
+    fit: Fit
     cost: Tensor  # (...) m^2
     position_cost: Tensor  # (...) m^2
+    within: Tensor  # (...) bool, both thresholds are met
 
 
 class StateFeedback(nn.Module):
@@ -105,7 +121,7 @@ class StateFeedback(nn.Module):
         bend_step: float = 0.6,
         length_step: float = 0.1,
         damping: float = 1e-8,
-        settled_step: float = 1e-7,
+        settled_step: float = 5e-6,
     ) -> None:
         super().__init__()
         check_tensor("abscissae", abscissae, (None,))
@@ -163,6 +179,17 @@ class StateFeedback(nn.Module):
         Raises:
             ShapeError, DtypeError: The arguments do not fit each other.
         """
+        return self.infer(q_seed, pi_hat, T, mask, angular_mask).feedback
+
+    def infer(
+        self,
+        q_seed: Tensor,
+        pi_hat: Tensor,
+        T: Tensor,
+        mask: Tensor | None = None,
+        angular_mask: Tensor | None = None,
+    ) -> Inference:
+        """`forward`, with what it knows at its end; arguments and errors as there."""
         k = self.abscissae.shape[-1]
         self.backbone.check(q_seed, pi_hat)
         check_tensor("T", T, (k, 4, 4))
@@ -170,107 +197,113 @@ class StateFeedback(nn.Module):
         usable, oriented = self.used(T, mask, angular_mask)
         batch = batch_shape(q_seed=(q_seed, 1), pi_hat=(pi_hat, 1), sensors=(oriented, 1))
         usable, oriented = usable.expand(*batch, k), oriented.expand(*batch, k)
-        X_tilde, j = decouple(self._abscissae(pi_hat), pi_hat)
-
-        def evaluate(q: Tensor) -> _Fit:
-            model, body = self.backbone.pose_and_body_jacobian(q, pi_hat, X_tilde, j)
-            return self._fit(q, model, body, T, usable, oriented)
-
-        return self._iterate(q_seed.expand(*batch, q_seed.shape[-1]), evaluate, usable)
+        pi_hat = pi_hat.expand(*batch, pi_hat.shape[-1])
+        problem = Problem(
+            # What is left out is measured where the model has it: it pulls nowhere, and nothing non-finite enters.
+            torch.where(usable[..., None, None], T, 0.0),
+            self.backbone.material_points(pi_hat, *located(self._abscissae(pi_hat).expand(*batch, k), pi_hat)),
+            usable,
+            oriented,
+            self._weights(usable, oriented, pi_hat.dtype),
+        )
+        fit, feedback = self._iterate(q_seed.expand(*batch, q_seed.shape[-1]), problem)
+        return Inference(feedback, pi_hat, fit.body, problem)
 
     def used(self, T: Tensor, mask: Tensor | None = None, angular_mask: Tensor | None = None) -> tuple[Tensor, Tensor]:
         """Which sensors, and which orientations, count: two bool (..., k). Arguments as `forward`."""
         k = self.abscissae.shape[-1]
-        leading = {"T": (T, 3)}
-        for name, given in {"mask": mask, "angular_mask": angular_mask}.items():
-            if given is not None:
-                leading[name] = (_check_mask(name, given, k), 1)
-        batch_shape(**leading)
-        usable = torch.isfinite(T).all(-1).all(-1)
+        usable = torch.isfinite(T).flatten(-2).all(-1)
+        given = {"T": (usable, 1)}
+        for name, chosen in {"mask": mask, "angular_mask": angular_mask}.items():
+            if chosen is not None:
+                given[name] = (_check_mask(name, chosen, k), 1)
+        if len(given) > 1:
+            batch_shape(**given)
         usable = usable if mask is None else usable & mask
         return usable, usable if angular_mask is None else usable & angular_mask
 
     def _abscissae(self, like: Tensor) -> Tensor:
         return self.abscissae.to(dtype=like.dtype, device=like.device)
 
-    def _fit(self, q: Tensor, model: Tensor, body: Tensor, T: Tensor, usable: Tensor, oriented: Tensor) -> _Fit:
-        # What is left out is measured where the model has it: it pulls nowhere, and nothing non-finite enters.
-        offset = torch.where(usable.unsqueeze(-1), T[..., :3, 3] - model[..., :3, 3], 0.0)
-        into_body = model[..., :3, :3].mT
-        linear = (into_body @ offset.unsqueeze(-1)).squeeze(-1)  # Eq. (32), in the sensor's own axes
-        angular = torch.zeros_like(linear)
-        if self.mode != "position":
-            rotation = torch.where(oriented[..., None, None], T[..., :3, :3], model[..., :3, :3])
-            twist = se3.log(se3.pose(into_body @ rotation, linear))  # Eq. (30)
-            angular = torch.where(oriented.unsqueeze(-1), twist[..., :3], 0.0)
-            # The linear part of the twist depends on the orientation, which has no say where positions come first.
-            if self.mode == "pose":
-                linear = twist[..., 3:]
-                # log(exp(-d) exp(V)) = V - J_l^-1(V) d: with J_b alone, right at V = 0, a step near the best fit of
-                # sensors that do not fit is no descent, and the estimate would stop short by up to a milliradian.
-                body = se3.left_jacobian_inverse(twist) @ body
-        residual = Residual(angular, linear, body, usable, oriented)
-        position_cost = linear.square().sum((-1, -2))
-        cost = position_cost + self.angular_weight**2 * angular.square().sum((-1, -2))
-        return _Fit(q, residual, cost, position_cost)
+    def _weights(self, usable: Tensor, oriented: Tensor, dtype: torch.dtype) -> Tensor:
+        if self.mode == "position":
+            oriented = torch.zeros_like(oriented)
+        return row_weights(oriented * (self.angular_weight if self.mode == "pose" else 1.0), usable, dtype)
+
+    def _evaluate(self, q: Tensor, problem: Problem) -> _Scored:
+        fit = evaluate(self.backbone, self.mode, q, problem)
+        angular, linear = fit.squares()
+        cost = torch.add(linear, angular, alpha=self.angular_weight**2).sum(-1)
+        position_cost = linear.sum(-1) if self.mode == "hierarchical" else cost
+        inside = (linear < self.linear_threshold**2) & (angular < self.angular_threshold**2)
+        return _Scored(fit, cost, position_cost, inside.all(-1))
 
     def _solve(self, residual: Residual, damping: Tensor) -> Tensor:
-        if self.mode == "hierarchical":
-            return hierarchical_step(residual, damping)
-        return least_squares_step(residual, self.angular_weight if self.mode == "pose" else None, damping)
+        return (hierarchical_step if self.mode == "hierarchical" else least_squares_step)(residual, damping)
 
-    def _step(self, residual: Residual, damping: Tensor) -> Tensor:
-        step = self._solve(residual, damping)
-        bounded = step.unflatten(-1, (-1, 3)).abs().amax(-2)
-        excess = torch.maximum(bounded[..., :2].amax(-1) / self.bend_step, bounded[..., 2] / self.length_step)
-        return step / excess.clamp(min=1.0).unsqueeze(-1)
+    def _step(self, fit: Fit, problem: Problem, damping: Tensor, limits: Tensor) -> tuple[Tensor, Tensor]:
+        """The step (..., n), and which rows' steps are negligible (...)."""
+        body = fit.body
+        if self.mode == "pose":
+            # log(exp(-d) exp(V)) = V - J_l^-1(V) d: with J_b alone, right at V = 0, a step near the best fit of sensors
+            # that do not fit is no descent, and the estimate would stop short by up to a milliradian.
+            body = se3.left_jacobian_inverse_times(fit.twist, fit.k, body)
+        step = self._solve(Residual(fit.twist.unsqueeze(-1), body, problem.weights), damping).squeeze(-1)
+        size = step.abs()
+        excess = (size / limits).amax(-1, keepdim=True).clamp(min=1.0)
+        return step / excess, size.amax(-1) < self.settled_step
 
-    def _better(self, trial: _Fit, fit: _Fit) -> Tensor:
+    def _better(self, trial: _Scored, best: _Scored) -> Tensor:
         if self.mode != "hierarchical":
-            return trial.cost < fit.cost
+            return trial.cost < best.cost
         # A lower position cost wins; one as good to 0.1 % (or 1 % of the threshold) lets orientation win.
-        slack = 1e-3 * fit.position_cost + (0.01 * self.linear_threshold) ** 2
-        as_good = trial.position_cost <= fit.position_cost + slack
-        return (trial.position_cost < fit.position_cost - slack) | (as_good & (trial.cost < fit.cost))
+        slack = 1e-3 * best.position_cost + (0.01 * self.linear_threshold) ** 2
+        as_good = trial.position_cost <= best.position_cost + slack
+        return (trial.position_cost < best.position_cost - slack) | (as_good & (trial.cost < best.cost))
 
-    def _iterate(self, q_seed: Tensor, evaluate: Callable[[Tensor], _Fit], usable: Tensor) -> Feedback:
-        fit = evaluate(q_seed)
-        valid = usable.any(-1) & torch.isfinite(fit.cost)
+    def _chosen(self, take: Tensor, trial: _Scored, best: _Scored) -> _Scored:
+        cost = torch.where(take, trial.cost, best.cost)
+        position_cost = cost
+        if self.mode == "hierarchical":
+            position_cost = torch.where(take, trial.position_cost, best.position_cost)
+        within = torch.where(take, trial.within, best.within)
+        return _Scored(select(take, trial.fit, best.fit), cost, position_cost, within)
+
+    def _iterate(self, q_seed: Tensor, problem: Problem) -> tuple[Fit, Feedback]:
+        best = self._evaluate(q_seed, problem)
+        valid = problem.usable.any(-1) & torch.isfinite(best.cost)
         # Below this the damped normal matrix, of order one, is singular to rounding where sensors leave freedom.
-        floor = 32.0 * torch.finfo(fit.cost.dtype).eps
-        damping = torch.full_like(fit.cost, max(self.damping, floor))
-        within = self._within(fit)
-        done = ~valid | (within if self.min_iterations == 0 else torch.zeros_like(within))
+        floor = 32.0 * torch.finfo(best.cost.dtype).eps
+        damping = torch.full_like(best.cost, max(self.damping, floor))
+        limits = self._limits(q_seed)
+        done = ~valid
+        if self.min_iterations == 0:
+            done = done | best.within
         settled = torch.zeros_like(done)
         iterations = torch.zeros_like(done, dtype=torch.int64)
         for k in range(self.max_iterations):
             # Leaving early reads a value, so a traced or compiled step runs all iterations with frozen rows instead.
             if not torch.compiler.is_compiling() and bool(done.all()):
                 break
-            step = self._step(fit.residual, damping)
-            trial = evaluate(fit.q + step)
-            take = self._better(trial, fit) & ~done
-            iterations = iterations + (~done).to(torch.int64)
-            negligible = step.abs().amax(-1) < self.settled_step
-            fit = _select(take, trial, fit)
-            damping = torch.where(take, (damping * 0.1).clamp(min=floor), damping * 10.0)
-            settled = settled | (negligible & ~done)
-            within = self._within(fit)
-            enough = within if k + 1 >= self.min_iterations else torch.zeros_like(within)
-            done = done | settled | enough
-        status = torch.where(within, FeedbackStatus.CONVERGED, FeedbackStatus.ITERATION_LIMIT)
-        status = torch.where(settled & ~within, FeedbackStatus.SETTLED, status)
+            step, negligible = self._step(best.fit, problem, damping, limits)
+            trial = self._evaluate(best.fit.q + step, problem)
+            live = ~done
+            take = self._better(trial, best) & live
+            iterations = iterations + live
+            settled = settled | (negligible & live)
+            best = self._chosen(take, trial, best)
+            damping = torch.where(take, 0.1 * damping, 10.0 * damping).clamp(min=floor)
+            if k + 1 >= self.min_iterations:
+                done = done | settled | best.within
+        status = torch.where(best.within, FeedbackStatus.CONVERGED, FeedbackStatus.ITERATION_LIMIT)
+        status = torch.where(settled & ~best.within, FeedbackStatus.SETTLED, status)
         status = torch.where(valid, status, FeedbackStatus.INVALID)
-        angular, linear = self._errors(fit)
-        return Feedback(fit.q, angular, linear, iterations, status)
+        return best.fit, Feedback(best.fit.q, *best.fit.errors(), iterations, status)
 
-    def _errors(self, fit: _Fit) -> tuple[Tensor, Tensor]:
-        return fit.residual.angular.norm(dim=-1), fit.residual.linear.norm(dim=-1)
-
-    def _within(self, fit: _Fit) -> Tensor:
-        angular, linear = self._errors(fit)
-        inside = (linear < self.linear_threshold) & (angular < self.angular_threshold)
-        return inside.all(-1)
+    def _limits(self, like: Tensor) -> Tensor:
+        """(n,) largest change of each configuration variable in one step."""
+        bend = torch.full((self.backbone.n_sections, 2), self.bend_step, dtype=like.dtype, device=like.device)
+        return torch.nn.functional.pad(bend, (0, 1), value=self.length_step).flatten()
 
     def sensitivity(
         self, q_bar: Tensor, pi_hat: Tensor, mask: Tensor | None = None, angular_mask: Tensor | None = None
@@ -288,20 +321,28 @@ class StateFeedback(nn.Module):
             angular_mask: (..., k) bool, orientations used; None for `mask`.
         """
         self.backbone.check(q_bar, pi_hat)
+        usable = torch.ones_like(self.abscissae, dtype=torch.bool) if mask is None else mask
+        oriented = usable if angular_mask is None else usable & angular_mask
+        batch = batch_shape(q_bar=(q_bar, 1), pi_hat=(pi_hat, 1), sensors=(oriented, 1))
         # In double precision: a direction that no sensor sees must stay one beside a damping far below any sensor's
         # reach squared, and single precision's rounding would be seen.
-        q, pi = q_bar.double(), pi_hat.double()
+        q, pi = (v.double().expand(*batch, v.shape[-1]) for v in (q_bar, pi_hat))
         X = self._abscissae(pi)
-        X_tilde, j = decouple(X, pi)
-        _, body = self.backbone.pose_and_body_jacobian(q, pi, X_tilde, j)
-        moved = self.backbone.body_parameter_jacobian(q, pi, X, body)
-        usable = torch.ones_like(X, dtype=torch.bool) if mask is None else mask
-        oriented = usable if angular_mask is None else usable & angular_mask
-        twists = -moved.movedim(-1, 0)  # (n_b, ..., k, 6)
+        points = self.backbone.material_points(pi, *located(X.expand(*batch, X.shape[-1]), pi))
+        body = body_jacobian(self.backbone.chain_to(q, points), points.fraction)
+        return self._followed(q, pi, points, body, self._weights(usable, oriented, q.dtype)).to(q_bar.dtype)
+
+    def followed(self, inference: Inference) -> Tensor:
+        """`sensitivity` (..., 3 n_b, n_b) where algorithm 2 ended, from the Jacobians that it ended with."""
+        feedback, pi_hat, body, problem = inference
+        if body.dtype != torch.float64:
+            return self.sensitivity(feedback.q_bar, pi_hat, problem.usable, problem.oriented)
+        return self._followed(feedback.q_bar, pi_hat, problem.points, body, problem.weights)
+
+    def _followed(self, q: Tensor, pi: Tensor, points: MaterialPoints, body: Tensor, weights: Tensor) -> Tensor:
+        moved = self.backbone.parameter_columns(q, pi, self._abscissae(pi), points, body)
         damping = torch.full((), 1e-10, dtype=body.dtype, device=body.device)
-        angular = torch.where(oriented.unsqueeze(-1), twists[..., :3], 0.0)
-        linear = torch.where(usable.unsqueeze(-1), twists[..., 3:], 0.0)
-        return self._solve(Residual(angular, linear, body, usable, oriented), damping).movedim(0, -1).to(q_bar.dtype)
+        return -self._solve(Residual(moved, body, weights), damping)
 
 
 def _check_mask(name: str, mask: Tensor, k: int) -> Tensor:
@@ -310,16 +351,3 @@ def _check_mask(name: str, mask: Tensor, k: int) -> Tensor:
     if mask.shape[-1:] != (k,):
         raise ShapeError(f"{name} must have shape (..., {k}), got {tuple(mask.shape)}")
     return mask
-
-
-def _select(take: Tensor, new: _Fit, old: _Fit) -> _Fit:
-    def choose(a: Tensor, b: Tensor) -> Tensor:
-        return torch.where(take[(..., *(None,) * (a.dim() - take.dim()))], a, b)
-
-    r, s = new.residual, old.residual
-    residual = Residual(
-        choose(r.angular, s.angular), choose(r.linear, s.linear), choose(r.body, s.body), s.usable, s.oriented
-    )
-    return _Fit(
-        choose(new.q, old.q), residual, choose(new.cost, old.cost), choose(new.position_cost, old.position_cost)
-    )

@@ -135,10 +135,9 @@ def dynamic_metrics(c: figures.RunCurves, diverged_at: Tensor) -> dict[str, floa
 
 def snapshots(log: DynamicLog, arms: Arms, row: int, count: int | None) -> Snapshots:
     """Moments of one run: `count` of them spread over it, or all of the log's."""
-    if count is None:
-        at = list(range(log.time.shape[0]))
-    else:
-        at = list(spread_indices(log.time, 0.0, float(log.time[-1]), count))
+    at = list(range(log.time.shape[0]))
+    if count is not None:
+        at = spread_indices(log.time, 0.0, float(log.time[-1]), count)
     q_true, q, pi_hat = log.q_true[at, row], log.q_bar[at, row], log.pi_hat[at, row]
     return Snapshots(
         log.time[at],

@@ -16,7 +16,8 @@ from apcc_torch.report.replay import ReplayCurves, replay_figure
 from apcc_torch.report.style import save_figures
 from apcc_torch.simulation.calibration import calibrate
 from apcc_torch.simulation.gating import SensorGate
-from apcc_torch.simulation.recording import load_recording
+from apcc_torch.simulation.recorded_arm import TRUNK_BASE, TRUNK_DIRECTION
+from apcc_torch.simulation.recording import detect_layout, load_recording
 from apcc_torch.simulation.replay import held_out_error, replay
 from apcc_torch.simulation.replay_log import replay_metrics
 
@@ -25,23 +26,28 @@ def run(config: SimulateConfig, folder: Path) -> dict[str, float]:
     """Replays `data` and writes the run's folder; returns the metrics.
 
     The calibration of the rest pose replaces the robot's sensor abscissae and rest lengths, one section ending at each
-    sensor. With controller.adaptive=true the whole controller looks on and adapts, driven by the recorded target, or by
-    the prediction of the tip where the recording has none.
+    sensor. With controller.adaptive=true the whole controller looks on and adapts, driven by the recorded target.
 
     Raises:
-        ConfigError: No data is named, or a setting has no meaning.
+        ConfigError: No data is named, adaptation is asked without a recorded target, or a setting has no meaning.
         DataError: The recording cannot be read.
     """
     started = time.perf_counter()
     r = config.replay
     if config.data is None:
         raise ConfigError("data must name the folder or file of a recording: experiment=replay data=FOLDER")
-    recording = load_recording(config.data, layout=r.layout, rate=r.rate)
+    layout = detect_layout(config.data) if r.layout == "auto" else r.layout
+    recording = load_recording(config.data, layout=layout, rate=r.rate)
+    direction, base_position = r.direction, r.base_position
+    if layout == "trunk":
+        # These recordings hold neither the way gravity points nor the base; what is known of them stands in.
+        direction = list(TRUNK_DIRECTION) if direction is None else direction
+        base_position = list(TRUNK_BASE) if base_position is None and r.first_abscissa is None else base_position
     calibration = calibrate(
         recording,
-        direction=r.direction,
+        direction=direction,
         forward=r.forward,
-        base_position=r.base_position,
+        base_position=base_position,
         first_abscissa=r.first_abscissa,
     )
     lengths = [float(v) for v in calibration.rest_lengths]
@@ -65,6 +71,7 @@ def run(config: SimulateConfig, folder: Path) -> dict[str, float]:
             gate,
             pi_hat=build.first_estimate(),
             frames=frames,
+            parallel=not config.controller.adaptive,
             progress=progress_bar("replay", config.progress),
         )
         held_out = held_out_error(

@@ -100,11 +100,50 @@ def log(transform: Tensor) -> Tensor:
         ShapeError: transform does not end in (4, 4).
     """
     rotation, position = _parts(check_tensor("transform", transform, (4, 4)))
-    half, k = so3.half_log(rotation)
+    return log_from_half(*so3.half_log(rotation), position)
+
+
+def log_from_half(half: Tensor, k: Tensor, position: Tensor) -> Tensor:
+    """The twist (..., 6) of the pose whose rotation has `so3.half_log` (half, k); shapes are not checked here.
+
+    Args:
+        half: (..., 3) rad.
+        k: (..., 1).
+        position: (..., 3) m.
+    """
     # v = J_l(w)^-1 p, with J_l^-1 = I - H + k H^2.
     cross = torch.linalg.cross(half, position)
     v = torch.addcmul(position - cross, k, torch.linalg.cross(half, cross))
     return torch.cat((2.0 * half, v), dim=-1)
+
+
+def left_jacobian_inverse_times(twist: Tensor, k: Tensor, columns: Tensor) -> Tensor:
+    """J_l(twist)^-1 @ columns, (..., 6, n), without the matrix; shapes are not checked here.
+
+    J_l^-1 is f(ad) for f(z) = 1 - z/2 + ... . With H and G the matrices of half the twist's angular and linear part,
+    its diagonal block is f(W) = I - H + k H^2 and the block below is the derivative of f(W) along V,
+    -G + k (H G + G H) + k' H^2, where k' = (h . g) ((1 - 3 k) / |h|^2 + k^2).
+
+    Args:
+        twist: (..., 6) angular (rad), linear (m), of an angle below 2 pi.
+        k: (..., 1) of its `so3.half_log`.
+        columns: (..., 6, n) twists side by side.
+    """
+    h, g = (0.5 * twist).unsqueeze(-1).split(3, dim=-2)
+    k = k.unsqueeze(-1)
+    squared = (h * h).sum(-2, keepdim=True)
+    # 1 - 3 k vanishes as |h|^2 / 15 does; what rounding leaves of the quotient meets H^2, which vanishes too.
+    slope = torch.rsub(k, 1.0, alpha=3.0) / squared.clamp(min=torch.finfo(squared.dtype).tiny)
+    slope = torch.addcmul(slope, k, k) * (h * g).sum(-2, keepdim=True)
+    both = columns.unflatten(-2, (2, 3))
+    h_both = h.unsqueeze(-3)
+    once = torch.linalg.cross(h_both, both, dim=-2)
+    twice = torch.linalg.cross(h_both, once, dim=-2)
+    angular, linear = torch.addcmul(both - once, k.unsqueeze(-3), twice).unbind(-3)
+    across = torch.linalg.cross(g, columns[..., :3, :], dim=-2)
+    mixed = torch.linalg.cross(h, across, dim=-2) + torch.linalg.cross(g, once[..., 0, :, :], dim=-2)
+    below = torch.addcmul(torch.addcmul(linear - across, k, mixed), slope, twice[..., 0, :, :])
+    return torch.cat((angular, below), dim=-2)
 
 
 def inverse(transform: Tensor) -> Tensor:

@@ -118,18 +118,17 @@ def half_log(rotation: Tensor) -> tuple[Tensor, Tensor]:
     w, v = _quaternion(rotation).split((1, 3), dim=-1)
     n2 = (v * v).sum(-1, keepdim=True)
     small = n2 < _LOG_SERIES_BELOW
-    large = ~small
-    # Masked before and selected after: neither branch is ever evaluated where its derivative would be NaN.
-    n2_large = n2.masked_fill(small, 1.0)
+    # Clamped before and selected after: neither branch is ever evaluated where its derivative would be NaN.
+    n2_large = n2.clamp(min=_LOG_SERIES_BELOW)
     n = torch.sqrt(n2_large)
     angle = torch.atan2(n, w)
     factor_large = torch.where(w < 0.0, angle - pi, angle) / n  # |h| / |v|, the short way round
-    rest_large = (1.0 - factor_large * w) / n2_large  # (1 - |h| cot|h|) / |v|^2
+    rest_large = torch.rsub(factor_large * w, 1.0) / n2_large  # (1 - |h| cot|h|) / |v|^2
 
     # With q = tan^2|h|: |h| cot|h| = atan(sqrt(q)) / sqrt(q) = 1 - q (1/3 - q/5 + q^2/7 - q^3/9 + ...).
-    inverse = w.masked_fill(large, 1.0).reciprocal()
+    inverse = w.clamp(min=1.0).reciprocal()  # w is nearly 4 where the series is used
     inverse2 = inverse * inverse
-    q = n2.masked_fill(large, 0.0) * inverse2
+    q = n2.clamp(max=_LOG_SERIES_BELOW) * inverse2
     series = torch.addcmul(torch.rsub(q, 1 / 3, alpha=1 / 5), q * q, torch.rsub(q, 1 / 7, alpha=1 / 9))
     factor_small = torch.addcmul(inverse, inverse * q, series, value=-1.0)
 
@@ -139,18 +138,17 @@ def half_log(rotation: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def _quaternion(rotation: Tensor) -> Tensor:
-    """A multiple (..., 4) of the unit quaternion (w, x, y, z) of a rotation.
+    """A multiple (..., 4) of the unit quaternion q = (w, x, y, z) of a rotation R of trace t.
 
-    The row of 4 q q^T with the largest diagonal entry, which is at least 1, so no small number is ever divided by.
+    4 q q^T = [[1 + t, v^T], [v, R + R^T + (1 - t) I]] with v twice the `vee` of R. Its row with the largest diagonal
+    entry is returned; that entry is at least 1, so no small number is ever divided by.
     """
-    _, m01, m02, m10, _, m12, m20, m21, _ = rotation.flatten(-2).split(1, dim=-1)
-    wx, wy, wz = m21 - m12, m02 - m20, m10 - m01
-    xy, xz, yz = m01 + m10, m02 + m20, m12 + m21
-    diagonal = rotation.diagonal(dim1=-2, dim2=-1)
-    trace = diagonal.sum(-1, keepdim=True)
-    xx, yy, zz = torch.add(1.0 - trace, diagonal, alpha=2.0).split(1, dim=-1)
-    rows = torch.cat((1.0 + trace, wx, wy, wz, wx, xx, xy, xz, wy, xy, yy, yz, wz, xz, yz, zz), dim=-1)
-    rows = rows.unflatten(-1, (4, 4))
+    eye = torch.eye(3, dtype=rotation.dtype, device=rotation.device)
+    v = torch.linalg.cross(rotation, eye.expand_as(rotation)).sum(-2)
+    trace = rotation.diagonal(dim1=-2, dim2=-1).sum(-1)[..., None, None]
+    block = torch.addcmul(rotation + rotation.mT, eye, torch.rsub(trace, 1.0))
+    first = torch.cat((1.0 + trace, v.unsqueeze(-2)), dim=-1)
+    rows = torch.cat((first, torch.cat((v.unsqueeze(-1), block), dim=-1)), dim=-2)
     largest = rows.diagonal(dim1=-2, dim2=-1).argmax(-1, keepdim=True)
     return rows.gather(-2, largest.unsqueeze(-1).expand(*largest.shape, 4)).squeeze(-2)
 

@@ -18,8 +18,6 @@ from torch import Tensor
 _SERIES_BELOW = 4.0
 # (-4)^k / (2k + 5)! falls under 1e-17 of c_5(0) at k = 10.
 _TERMS = 10
-_C5_SERIES = tuple((-1.0) ** k / factorial(2 * k + 5) for k in range(_TERMS))
-_C6_SERIES = tuple((-1.0) ** k / factorial(2 * k + 6) for k in range(_TERMS))
 
 
 class Stumpff(NamedTuple):
@@ -34,10 +32,11 @@ class Stumpff(NamedTuple):
     c6: Tensor
 
 
-def _horner(coefficients: tuple[float, ...], x: Tensor) -> Tensor:
-    value = coefficients[-1] * x + coefficients[-2]
-    for coefficient in coefficients[-3::-1]:
-        value = value * x + coefficient
+def _series(m: int, x: Tensor, one: Tensor) -> Tensor:
+    """m! c_m(x) = 1 - x / ((m+1)(m+2)) (1 - x / ((m+3)(m+4)) (1 - ...)), one operation a term."""
+    value = one
+    for k in range(m + 2 * _TERMS - 1, m, -2):
+        value = torch.addcmul(one, x, value, value=-1.0 / (k * (k + 1)))
     return value
 
 
@@ -48,30 +47,29 @@ def stumpff(x: Tensor) -> Stumpff:
         x: (...) squared angle, rad^2, not negative.
     """
     small = x < _SERIES_BELOW
-    # The double where: neither branch is ever evaluated where its derivative would be NaN.
-    x_small = torch.where(small, x, 0.0)
-    x_large = torch.where(small, _SERIES_BELOW, x)
+    # Clamped before and selected after: neither branch is ever evaluated where its derivative would be NaN.
+    low, high = x.clamp(max=_SERIES_BELOW), x.clamp(min=_SERIES_BELOW)
+    one = torch.ones_like(x)
+    half, sixth, twentyfourth = (torch.full_like(x, 1.0 / factorial(m)) for m in (2, 3, 4))
 
     # Downward recurrence c_m = 1/m! - x c_{m+2}: stable for small x.
-    s6 = _horner(_C6_SERIES, x_small)
-    s5 = _horner(_C5_SERIES, x_small)
-    s4 = 1.0 / 24.0 - x_small * s6
-    s3 = 1.0 / 6.0 - x_small * s5
-    s2 = 0.5 - x_small * s4
-    s1 = 1.0 - x_small * s3
-    s0 = 1.0 - x_small * s2
+    p6, p5 = _series(6, low, one), _series(5, low, one)
+    s4 = torch.addcmul(twentyfourth, low, p6, value=-1.0 / factorial(6))
+    s3 = torch.addcmul(sixth, low, p5, value=-1.0 / factorial(5))
+    s2 = torch.addcmul(half, low, s4, value=-1.0)
+    s1 = torch.addcmul(one, low, s3, value=-1.0)
+    s0 = torch.addcmul(one, low, s2, value=-1.0)
 
     # Upward recurrence c_{m+2} = (1/m! - c_m) / x: stable for large x.
-    angle = torch.sqrt(x_large)
-    inverse = 1.0 / x_large
+    angle, inverse = torch.sqrt(high), high.reciprocal()
     l0 = torch.cos(angle)
     l1 = torch.sin(angle) / angle
-    l2 = (1.0 - l0) * inverse
-    l3 = (1.0 - l1) * inverse
-    l4 = (0.5 - l2) * inverse
-    l5 = (1.0 / 6.0 - l3) * inverse
-    l6 = (1.0 / 24.0 - l4) * inverse
+    l2 = (one - l0) * inverse
+    l3 = (one - l1) * inverse
+    l4 = (half - l2) * inverse
+    l5 = (sixth - l3) * inverse
+    l6 = (twentyfourth - l4) * inverse
 
-    series = torch.stack((s0, s1, s2, s3, s4, s5, s6), dim=-1)
-    closed = torch.stack((l0, l1, l2, l3, l4, l5, l6), dim=-1)
-    return Stumpff(*torch.where(small.unsqueeze(-1), series, closed).unbind(-1))
+    series = (s0, s1, s2, s3, s4, p5 / factorial(5), p6 / factorial(6))
+    closed = (l0, l1, l2, l3, l4, l5, l6)
+    return Stumpff(*(torch.where(small, s, c) for s, c in zip(series, closed, strict=True)))

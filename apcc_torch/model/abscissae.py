@@ -30,9 +30,11 @@ def decouple(X: Tensor, pi_hat: Tensor) -> tuple[Tensor, Tensor]:
     check_tensor("pi_hat", pi_hat, (None,))
     check_same(X=X, pi_hat=pi_hat)
     batch = batch_shape(X=(X, 1), pi_hat=(pi_hat, 1))
-    X = X.expand(*batch, X.shape[-1])
-    pi_hat = pi_hat.expand(*batch, pi_hat.shape[-1])
+    return located(X.expand(*batch, X.shape[-1]), pi_hat.expand(*batch, pi_hat.shape[-1]))
 
+
+def located(X: Tensor, pi_hat: Tensor) -> tuple[Tensor, Tensor]:
+    """`decouple` for tensors (..., k) and (..., n_b) of one dtype and the same leading dimensions, unchecked."""
     upper = pi_hat.cumsum(-1)  # Eq. (23)
     # Eq. (24): the first section whose end is not before X, counted as the number of ends before X.
     j = (upper.unsqueeze(-2) < X.unsqueeze(-1)).sum(-1).clamp(max=pi_hat.shape[-1] - 1)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import torch
 from torch import Tensor, nn
 
@@ -9,7 +11,7 @@ from apcc_torch.errors import DtypeError, ShapeError, ValueRangeError
 from apcc_torch.lie import se3
 from apcc_torch.model.abscissae import decouple, section_fractions
 from apcc_torch.model.arc import arc_pose
-from apcc_torch.model.chain import Chain, build_chain, velocity_columns
+from apcc_torch.model.chain import Chain, body_jacobian, build_chain, tip_jacobian
 from apcc_torch.model.regressor import jacobian_rate, linear_regressor
 from apcc_torch.shapes import batch_shape, check_same, check_tensor
 
@@ -21,6 +23,19 @@ def split_configuration(q: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """q (..., 3 n_b) -> Delta_x, Delta_y (rad) and delta L (m), each (..., n_b)."""
     x, y, dL = q.unflatten(-1, (-1, 3)).unbind(-1)
     return x, y, dL
+
+
+class MaterialPoints(NamedTuple):
+    """Where k material points lie on an arm, whatever its configuration.
+
+    fraction: (..., k, n_b) part of each section that lies before the point.
+    length: (..., k, n_b) rest length of that part, m.
+    section: (..., k) int64 zero-based index of the section that the point is in.
+    """
+
+    fraction: Tensor
+    length: Tensor
+    section: Tensor
 
 
 class PCCBackbone(nn.Module):
@@ -81,29 +96,46 @@ class PCCBackbone(nn.Module):
     def _base(self, like: Tensor) -> Tensor:
         return self.base_rotation.to(dtype=like.dtype, device=like.device)
 
-    def _chain(self, q: Tensor, L0: Tensor) -> tuple[Chain, Tensor]:
-        """The whole arm as a chain, and the (..., n_b) section lengths L0 + dL."""
+    def chain(self, q: Tensor, L0: Tensor) -> Chain:
+        """The whole arm as a chain of arcs: what its tip, `chain.tip_jacobian` and `regressor.jacobian_rate` share.
+
+        The shapes of q (..., 3 n_b) and L0 (..., n_b) are not checked here.
+        """
         x, y, dL = split_configuration(q)
         length = L0 + dL
-        x, y, length = torch.broadcast_tensors(x, y, length)
-        return build_chain(x, y, length, self._base(q)), length
+        if length.shape != x.shape:
+            x, y = x.expand_as(length), y.expand_as(length)
+        return build_chain(x, y, length, self._base(q))
+
+    def chain_to(self, q: Tensor, points: MaterialPoints) -> Chain:
+        """The arm up to each material point, as a chain (..., k) whose tip is that point; unchecked.
+
+        The leading dimensions of q (..., 3 n_b) are those of the points.
+        """
+        parts = q.unflatten(-1, (-1, 3)).unsqueeze(-3) * points.fraction.unsqueeze(-1)
+        x, y, dL = parts.unbind(-1)
+        return build_chain(x, y, dL + points.length, self._base(q))
+
+    def material_points(self, L0: Tensor, X_tilde: Tensor, j: Tensor) -> MaterialPoints:
+        """Points (..., k) as parts of the sections, all of one leading shape; unchecked. Arguments as `pose`."""
+        fraction = section_fractions(X_tilde, j, self.n_sections)
+        return MaterialPoints(fraction, L0.unsqueeze(-2) * fraction, j)
 
     def tip(self, q: Tensor, L0: Tensor) -> Tensor:
         """Tip position x(q, pi), (..., 3) m, world frame. Eq. (3) [Dalenberg]."""
         self.check(q, L0)
-        return self._chain(q, L0)[0].tip
+        return self.chain(q, L0).tip
 
     def tip_jacobian(self, q: Tensor, L0: Tensor) -> Tensor:
         """J (..., 3, n): tip velocity is J qdot, world frame. Eq. (4) [Dalenberg]."""
         self.check(q, L0)
-        chain, length = self._chain(q, L0)
-        return velocity_columns(chain, length, 1.0)[1]
+        return tip_jacobian(self.chain(q, L0))
 
     def tip_and_jacobian(self, q: Tensor, L0: Tensor) -> tuple[Tensor, Tensor]:
         """Tip position (..., 3) and Jacobian (..., 3, n) from one pass."""
         self.check(q, L0)
-        chain, length = self._chain(q, L0)
-        return chain.tip, velocity_columns(chain, length, 1.0)[1]
+        chain = self.chain(q, L0)
+        return chain.tip, tip_jacobian(chain)
 
     def pose(self, q: Tensor, L0: Tensor, X_tilde: Tensor, j: Tensor) -> Tensor:
         """Poses of material points, h(q, X_tilde, pi). Eq. (27) [Dalenberg].
@@ -121,7 +153,7 @@ class PCCBackbone(nn.Module):
             ShapeError, DtypeError: The arguments do not fit each other.
         """
         batch = self._check_points(q, L0, X_tilde, j)
-        chain, length = self._chain(q, L0)
+        chain = self.chain(q, L0)
         k, n = X_tilde.shape[-1], self.n_sections
         j = j.expand(*batch, k)
         x, y, _ = split_configuration(q)
@@ -130,7 +162,7 @@ class PCCBackbone(nn.Module):
             return torch.gather(values.expand(*batch, n), -1, j)
 
         rotation, chord = arc_pose(X_tilde * at_point(x), X_tilde * at_point(y))
-        offset = chord * (X_tilde * at_point(length)).unsqueeze(-1)
+        offset = chord * (X_tilde * at_point(chain.length)).unsqueeze(-1)
         index = j[..., None, None].expand(*batch, k, 3, 3)
         before = torch.gather(chain.before.expand(*batch, n, 3, 3), -3, index)
         starts = torch.nn.functional.pad(chain.ends[..., :-1, :], (0, 0, 1, 0))
@@ -143,16 +175,10 @@ class PCCBackbone(nn.Module):
         Arguments as `pose`. Rows of the Jacobian: angular, then linear velocity in the point's own axes, rad/s and
         m/s. Eqs. (27), (29) [Dalenberg].
         """
-        self._check_points(q, L0, X_tilde, j)
-        fraction = section_fractions(X_tilde, j, self.n_sections)
-        x, y, dL = split_configuration(q)
-        length = (L0 + dL).unsqueeze(-2) * fraction
-        x, y, length = torch.broadcast_tensors(x.unsqueeze(-2) * fraction, y.unsqueeze(-2) * fraction, length)
-        chain = build_chain(x, y, length, self._base(q))
-        angular, linear = velocity_columns(chain, length, fraction)
-        into_body = chain.rotation.mT
-        body = torch.cat((into_body @ angular, into_body @ linear), dim=-2)
-        return se3.pose(chain.rotation, chain.tip), body
+        batch = self._check_points(q, L0, X_tilde, j)
+        points = self.material_points(L0, X_tilde, j)
+        chain = self.chain_to(q.expand(*batch, q.shape[-1]), points)
+        return se3.pose(chain.rotation, chain.tip), body_jacobian(chain, points.fraction)
 
     def body_jacobian(self, q: Tensor, L0: Tensor, X_tilde: Tensor, j: Tensor) -> Tensor:
         """J_b (..., k, 6, n) of material points; see `pose_and_body_jacobian`. Eq. (29) [Dalenberg]."""
@@ -173,19 +199,24 @@ class PCCBackbone(nn.Module):
         Returns:
             (..., k, 6, n_b), rad/m and m/m.
         """
-        X_tilde, j = decouple(X, L0)
+        batch = batch_shape(q=(q, 1), L0=(L0, 1), X=(X, 1))
+        L0 = L0.expand(*batch, self.n_sections)
+        points = self.material_points(L0, *decouple(X, L0))
+        return self.parameter_columns(q.expand(*batch, self.n), L0, X, points, body_jacobian)
+
+    def parameter_columns(
+        self, q: Tensor, L0: Tensor, X: Tensor, points: MaterialPoints, body_jacobian: Tensor
+    ) -> Tensor:
+        """`body_parameter_jacobian` where the points are known; unchecked, q, L0 and points of one leading shape."""
         x, y, dL = split_configuration(q)
-        x, y, length = torch.broadcast_tensors(x, y, L0 + dL)
         zero = torch.zeros_like(x)
-        strain = torch.stack((-y, x, zero, zero, zero, length), dim=-1)  # (..., n_b, 6)
-        batch = torch.broadcast_shapes(strain.shape[:-2], j.shape[:-1])
-        index = j.unsqueeze(-1).expand(*batch, j.shape[-1], 6)
-        strain = torch.gather(strain.expand(*batch, self.n_sections, 6), -2, index)
-        rest = torch.gather(L0.expand(*j.shape[:-1], self.n_sections), -1, j)
+        strain = torch.stack((-y, x, zero, zero, zero, L0 + dL), dim=-1)  # (..., n_b, 6)
+        strain = torch.gather(strain, -2, points.section.unsqueeze(-1).expand(*points.section.shape, 6))
+        rest = torch.gather(L0, -1, points.section)
         # Eq. (25) differentiated: dX_tilde/dpi_m is -1/pi_j before section j, -X_tilde/pi_j in it; 0 once clamped.
         # The arm's end is the one `decouple` compares with, to the last bit: the last sensor often sits exactly there.
         inside = (L0.cumsum(-1)[..., -1:] >= X).to(q.dtype) / rest
-        slide = -section_fractions(X_tilde, j, self.n_sections) * inside.unsqueeze(-1)
+        slide = -points.fraction * inside.unsqueeze(-1)
         return body_jacobian[..., 2::3] + strain.unsqueeze(-1) * slide.unsqueeze(-2)
 
     def points(self, q: Tensor, L0: Tensor, N: int, spacing: str = "arc") -> Tensor:
@@ -232,7 +263,6 @@ class PCCBackbone(nn.Module):
         check_same(q=q, qdot=qdot)
         batch_shape(q=(q, 1), qdot=(qdot, 1), L0=(L0, 1))
         q, qdot = torch.broadcast_tensors(q, qdot)
-        chain, length = self._chain(q, L0)
-        rates = [r.expand_as(length) for r in split_configuration(qdot)]
-        x, y, _ = (v.expand_as(length) for v in split_configuration(q))
-        return jacobian_rate(chain, (x, y, length), (rates[0], rates[1], rates[2]))
+        chain = self.chain(q, L0)
+        xdot, ydot, lengthdot = (rate.expand_as(chain.length) for rate in split_configuration(qdot))
+        return jacobian_rate(chain, (xdot, ydot, lengthdot))

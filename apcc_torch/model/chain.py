@@ -11,18 +11,25 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from apcc_torch.model.arc import Arc, arc_geometry
+from apcc_torch.lie.stumpff import Stumpff, stumpff
+from apcc_torch.model.arc import Arc, arc_geometry, squared_bend
 
 
 class Chain(NamedTuple):
-    """Frames along a chain of arcs.
+    """Frames along a chain of n arcs.
 
-    arcs: the n arcs, each in its own base frame.
+    x, y: (..., n) bends, rad, and length: (..., n) m, broadcast with each other.
+    c: Stumpff functions (..., n) of the squared bends.
+    arcs: the arcs, each in its own base frame.
     before: (..., n, 3, 3) rotation of each arc's base frame.
     ends: (..., n, 3) position of each arc's tip, m.
     rotation: (..., 3, 3) rotation of the last tip.
     """
 
+    x: Tensor
+    y: Tensor
+    length: Tensor
+    c: Stumpff
     arcs: Arc
     before: Tensor
     ends: Tensor
@@ -54,37 +61,48 @@ def prefix_rotations(rotations: Tensor, base_rotation: Tensor) -> tuple[Tensor, 
 
 def build_chain(x: Tensor, y: Tensor, length: Tensor, base_rotation: Tensor) -> Chain:
     """The chain of n arcs with bends (x, y) rad and lengths m, each (..., n). Eq. (3) [Dalenberg]."""
-    arcs = arc_geometry(x, y)
+    c = stumpff(squared_bend(x, y))
+    arcs = arc_geometry(x, y, c)
     before, rotation = prefix_rotations(arcs.rotation, base_rotation)
     steps = (before @ (arcs.chord * length.unsqueeze(-1)).unsqueeze(-1)).squeeze(-1)
-    return Chain(arcs, before, steps.cumsum(-2), rotation)
+    return Chain(x, y, length, c, arcs, before, steps.cumsum(-2), rotation)
 
 
 def flatten_columns(blocks: Tensor) -> Tensor:
-    """(..., n, 3, c) blocks, one an arc, to one matrix (..., 3, n c)."""
+    """(..., n, r, c) blocks, one an arc, to one matrix (..., r, n c)."""
     return blocks.transpose(-3, -2).flatten(-2)
 
 
-def velocity_columns(chain: Chain, length: Tensor, fraction: Tensor | float) -> tuple[Tensor, Tensor]:
-    """Angular and linear velocity of the chain's tip for unit rates of each section's (dx, dy, dL), in world axes.
+def _linear_columns(columns: Tensor, arm: Tensor, length: Tensor) -> Tensor:
+    """(..., n, 3, 3) linear velocity of the tip for unit rates of each section's (dx, dy, dL).
+
+    Args:
+        columns: (..., n, 3, 5) spin, bend and chord.
+        arm: (..., n, 3) from each arc's tip to the chain's, m, in the same axes.
+        length: (..., n) m.
+    """
+    spin, bend, chord = columns.split((2, 2, 1), dim=-1)
+    swing = torch.linalg.cross(spin, arm.unsqueeze(-1), dim=-2)
+    return torch.cat((torch.addcmul(swing, length[..., None, None], bend), chord), dim=-1)
+
+
+def tip_jacobian(chain: Chain) -> Tensor:
+    """Linear velocity (..., 3, 3 n) of the tip, in world axes, for unit rates of each arc's (dx, dy, dL)."""
+    arm = chain.tip.unsqueeze(-2) - chain.ends
+    return flatten_columns(_linear_columns(chain.before @ chain.arcs.columns, arm, chain.length))
+
+
+def body_jacobian(chain: Chain, fraction: Tensor) -> Tensor:
+    """Body twist (..., 6, 3 n) of the tip for unit rates of each section's (dx, dy, dL), rows angular then linear.
 
     Args:
         chain: The chain; its arcs are `fraction` of their sections.
-        length: (..., n) length of each arc, m.
         fraction: (..., n) part of each section that its arc covers: rates of the section's bend and length act on the
             arc with this weight.
-
-    Returns:
-        Angular (..., 3, 3 n), rad per (rad, rad, m), and linear (..., 3, 3 n), m per (rad, rad, m).
     """
-    weight = fraction.unsqueeze(-1).unsqueeze(-1) if isinstance(fraction, Tensor) else fraction
-    lever = length.unsqueeze(-1).unsqueeze(-1)
-    arcs = chain.arcs
-    local = torch.cat((arcs.spin, lever * arcs.bend, arcs.chord.unsqueeze(-1)), dim=-1) * weight
-    world = chain.before @ local  # (..., n, 3, 5): spin x, y; bend x, y; chord
-    spin = world[..., :2]
-    arm = (chain.tip.unsqueeze(-2) - chain.ends).unsqueeze(-1)
-    bend = world[..., 2:4] + torch.linalg.cross(spin, arm, dim=-2)
-    linear = torch.cat((bend, world[..., 4:]), dim=-1)
-    angular = torch.nn.functional.pad(spin, (0, 1))
-    return flatten_columns(angular), flatten_columns(linear)
+    from_body = chain.rotation
+    columns = (from_body.mT.unsqueeze(-3) @ chain.before) @ (chain.arcs.columns * fraction[..., None, None])
+    arm = (chain.tip.unsqueeze(-2) - chain.ends) @ from_body
+    linear = _linear_columns(columns, arm, chain.length)
+    angular = torch.nn.functional.pad(columns[..., :2], (0, 1))
+    return flatten_columns(torch.cat((angular, linear), dim=-2))

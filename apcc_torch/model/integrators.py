@@ -13,7 +13,7 @@ from torch import Tensor
 
 from apcc_torch.errors import ValueRangeError
 from apcc_torch.linalg import solve_spd
-from apcc_torch.model.dynamics import SoftArmDynamics
+from apcc_torch.model.dynamics import EquationOfMotion, SoftArmDynamics
 from apcc_torch.model.loads import Payload
 
 Field = Callable[[Tensor, Tensor], Tensor]
@@ -101,10 +101,16 @@ def rk4_step(field: Field, t: Tensor, x: Tensor, dt: float | Tensor) -> Tensor:
 
 
 def _residual_force(
-    dynamics: SoftArmDynamics, state: ArmState, tau: Tensor, payload: Payload, wrench: Tensor | None
+    dynamics: SoftArmDynamics,
+    state: ArmState,
+    tau: Tensor,
+    payload: Payload,
+    wrench: Tensor | None,
+    equation: EquationOfMotion | None = None,
 ) -> tuple[Tensor, Tensor]:
     """M and the force tau - C qdot - G - D qdot - K q at a state."""
-    equation = dynamics.equation(state.q, state.qdot, payload, wrench)
+    if equation is None:
+        equation = dynamics.equation(state.q, state.qdot, payload, wrench)
     force = tau - equation.bias - dynamics.stiffness_diagonal * state.q - dynamics.damping_diagonal * state.qdot
     return equation.inertia, force
 
@@ -130,6 +136,7 @@ def semi_implicit_step(
     dt: float,
     payload: Payload = None,
     wrench: Tensor | None = None,
+    equation: EquationOfMotion | None = None,
 ) -> ArmState:
     """Linearly implicit Euler in the stiff elastic, damping and actuation forces; order 1, one solve.
 
@@ -143,8 +150,9 @@ def semi_implicit_step(
         dt: Step, s.
         payload: (...) tip mass, kg.
         wrench: (..., 6) external tip wrench, world axes.
+        equation: `dynamics.equation` at the current state with these loads, where it is known already.
     """
-    inertia, force = _residual_force(dynamics, state, actuation.tau, payload, wrench)
+    inertia, force = _residual_force(dynamics, state, actuation.tau, payload, wrench, equation)
     stiffness, damping = _implicit_terms(dynamics, actuation)
     matrix = inertia + dt * damping + (dt * dt) * stiffness
     rhs = dt * (force - dt * (stiffness @ state.qdot.unsqueeze(-1)).squeeze(-1))

@@ -23,9 +23,9 @@ def _times(matrix: Tensor, vector: Tensor) -> Tensor:
     return (matrix @ vector.unsqueeze(-1)).squeeze(-1)
 
 
-def _angular_velocity(spin: Tensor, before: Tensor, xdot: Tensor, ydot: Tensor) -> Tensor:
+def _angular_velocity(spin: Tensor, thetadot: Tensor) -> Tensor:
     """(..., n, 3) angular velocity of each section's base frame: the sum over the sections before it."""
-    own = _times(before, _times(spin, torch.stack((xdot, ydot), dim=-1)))
+    own = _times(spin, thetadot)
     return own.cumsum(-2) - own
 
 
@@ -41,39 +41,35 @@ def linear_regressor(q: Sections, qdot: Sections, base_rotation: Tensor) -> tupl
     xdot, ydot, dLdot = qdot
     arcs = arc_geometry(x, y)
     before, _ = prefix_rotations(arcs.rotation, base_rotation)
-    omega = _angular_velocity(arcs.spin, before, xdot, ydot)
-    chord = _times(before, arcs.chord)
-    chord_rate = _times(before, _times(arcs.bend, torch.stack((xdot, ydot), dim=-1)))
-    Y = torch.linalg.cross(omega, chord) + chord_rate  # Eq. (8), the columns of the true parameters
+    thetadot = torch.stack((xdot, ydot), dim=-1)
+    columns = before @ arcs.columns
+    chord = columns[..., 4]
+    omega = _angular_velocity(columns[..., :2], thetadot)
+    Y = torch.linalg.cross(omega, chord) + _times(columns[..., 2:4], thetadot)  # Eq. (8), of the true parameters
     Phi = (Y * dL.unsqueeze(-1) + chord * dLdot.unsqueeze(-1)).sum(-2)  # Eq. (10)
     return Y.mT, Phi
 
 
-def jacobian_rate(chain: Chain, q: Sections, qdot: Sections) -> Tensor:
-    """Jdot (..., 3, 3 n_b) of the chain's tip along qdot.
+def jacobian_rate(chain: Chain, qdot: Sections) -> Tensor:
+    """Jdot (..., 3, 3 n_b) of the chain's tip along qdot. Its columns of delta L are the regressor Y of Eq. (8).
 
     Args:
-        chain: The chain at q.
-        q: Delta_x, Delta_y (rad) and the section length L0 + dL (m), each (..., n_b).
-        qdot: Their rates.
+        chain: The chain.
+        qdot: Rates of Delta_x, Delta_y (rad/s) and delta L (m/s), each (..., n_b).
     """
-    x, y, length = q
     xdot, ydot, lengthdot = qdot
-    arcs, before = chain.arcs, chain.before
-    rate = arc_rate(x, y, xdot, ydot)
-    omega = _angular_velocity(arcs.spin, before, xdot, ydot).unsqueeze(-1)
-    L, Ldot = length[..., None, None], lengthdot[..., None, None]
+    rate = arc_rate(chain.x, chain.y, xdot, ydot, chain.c)
+    spin, reach = (chain.before @ chain.arcs.columns).split((2, 3), dim=-1)  # what turns; what moves: bend and chord
+    omega = _angular_velocity(spin, torch.stack((xdot, ydot), dim=-1)).unsqueeze(-1)
+    turned = chain.before @ rate.columns
+    spin_rate = torch.linalg.cross(omega, spin, dim=-2) + turned[..., :2]
+    reach_rate = torch.linalg.cross(omega, reach, dim=-2) + turned[..., 2:]
 
-    local = torch.cat((arcs.spin, L * arcs.bend, arcs.chord.unsqueeze(-1)), dim=-1)
-    local_rate = torch.cat((rate.spin, Ldot * arcs.bend + L * rate.bend, rate.chord.unsqueeze(-1)), dim=-1)
-    world = before @ local
-    world_rate = torch.linalg.cross(omega, world, dim=-2) + before @ local_rate
-
-    # The steps R t turn and stretch; what lies beyond section i moves with the later steps only.
-    step_rate = Ldot * world[..., 4:] + L * world_rate[..., 4:]
+    # The steps L u turn and stretch; what lies beyond section i moves with the later steps only.
+    L, Ldot = chain.length[..., None, None], lengthdot[..., None, None]
+    bend_rate, step_rate = torch.addcmul(Ldot * reach, L, reach_rate).split((2, 1), dim=-1)
     ends_rate = step_rate.cumsum(-3)
     arm = (chain.tip.unsqueeze(-2) - chain.ends).unsqueeze(-1)
     arm_rate = ends_rate[..., -1:, :, :] - ends_rate
-    spin, spin_rate = world[..., :2], world_rate[..., :2]
     swing = torch.linalg.cross(spin_rate, arm, dim=-2) + torch.linalg.cross(spin, arm_rate, dim=-2)
-    return flatten_columns(torch.cat((world_rate[..., 2:4] + swing, world_rate[..., 4:]), dim=-1))
+    return flatten_columns(torch.cat((bend_rate + swing, reach_rate[..., 2:]), dim=-1))

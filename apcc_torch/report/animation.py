@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator, Mapping
 from itertools import chain
 from pathlib import Path
@@ -14,6 +13,7 @@ from PIL import Image
 from torch import Tensor
 
 from apcc_torch.errors import ValueRangeError
+from apcc_torch.files import draft_of
 from apcc_torch.report import style
 from apcc_torch.report.backbone_drawing import Snapshots, check_snapshots, draw_base, space_key
 from apcc_torch.report.space import WALLS, Camera, Space, bounding_box
@@ -170,15 +170,11 @@ def save_animation(
     base = Path(path_without_suffix)
     film = has_ffmpeg()
     target = base.with_name(base.name + (".mp4" if film else ".gif"))
-    draft = style.draft_of(target)
-    try:
+    with draft_of(target) as draft:
         if film:
             _write_mp4(draft, pictures, fps)
         else:
             _write_gif(draft, pictures, fps)
-        os.replace(draft, target)
-    finally:
-        draft.unlink(missing_ok=True)
     return target
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -15,6 +14,8 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 from numpy.typing import NDArray
 from torch import Tensor
+
+from apcc_torch.files import write_atomically
 
 Array = NDArray[Any]
 
@@ -125,26 +126,9 @@ def save_figure(figure: Figure, path: Path | str, dpi: float = DPI) -> Path:
     target = Path(path)
     buffer = io.BytesIO()
     figure.savefig(buffer, format=target.suffix.lstrip(".") or "png", dpi=dpi)
-    return write_bytes_atomically(target, buffer.getvalue())
+    return write_atomically(target, buffer.getvalue())
 
 
 def save_figures(figures: Mapping[str, Figure], folder: Path | str, dpi: float = DPI) -> list[Path]:
     """`save_figure` for each {file name: figure} of a set, into one folder."""
     return [save_figure(figure, Path(folder) / name, dpi) for name, figure in figures.items()]
-
-
-def draft_of(path: Path) -> Path:
-    """A name beside `path`, with its suffix, to write to before it is moved into place; the folder is made."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    return path.with_name(f".{path.stem}.{os.getpid()}.draft{path.suffix}")
-
-
-def write_bytes_atomically(path: Path, data: bytes) -> Path:
-    """Writes a file by way of a draft beside it."""
-    draft = draft_of(path)
-    try:
-        draft.write_bytes(data)
-        os.replace(draft, path)
-    finally:
-        draft.unlink(missing_ok=True)
-    return path

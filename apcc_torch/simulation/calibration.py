@@ -18,8 +18,8 @@ import torch
 from torch import Tensor
 
 from apcc_torch.errors import DataError, ValueRangeError
+from apcc_torch.files import write_atomically
 from apcc_torch.shapes import check_finite, check_positive, check_tensor
-from apcc_torch.simulation.csv_table import write_atomically
 from apcc_torch.simulation.recording import Recording
 
 VERSION = 1
@@ -101,7 +101,7 @@ class Calibration:
         for field in dataclasses.fields(self):
             value = getattr(self, field.name)
             content[field.name] = value.tolist() if isinstance(value, Tensor) else value
-        write_atomically(Path(path), json.dumps(content, indent=1) + "\n")
+        write_atomically(path, json.dumps(content, indent=1) + "\n")
 
     @staticmethod
     def load(path: str | Path) -> Calibration:

@@ -1,10 +1,9 @@
-"""CSV files of numbers, read whole with errors that name the place, and files written whole or not at all."""
+"""CSV files of numbers, read whole with errors that name the place."""
 
 from __future__ import annotations
 
 import csv
 import math
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -108,17 +107,3 @@ def _not_a_number(path: Path, header: list[str], row: list[str], line: int) -> D
         except ValueError:
             return DataError(f"{path}, column {name!r}, line {line}: {cell!r} is not a number")
     raise AssertionError("every cell is a number")
-
-
-def write_atomically(path: Path, text: str) -> None:
-    """Writes a text file so that a reader, or a crash, never meets half of it."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    draft = path.with_name(f".{path.name}.{os.getpid()}.draft")
-    try:
-        with draft.open("w", newline="", encoding="utf-8") as file:
-            file.write(text)
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(draft, path)
-    finally:
-        draft.unlink(missing_ok=True)

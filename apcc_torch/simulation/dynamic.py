@@ -19,7 +19,7 @@ from apcc_torch.control.signals import Command, ControllerState, Measurement
 from apcc_torch.errors import ConfigError, ValueRangeError
 from apcc_torch.model.abscissae import decouple
 from apcc_torch.model.backbone import PCCBackbone
-from apcc_torch.model.dynamics import SoftArmDynamics
+from apcc_torch.model.dynamics import EquationOfMotion, SoftArmDynamics
 from apcc_torch.model.integrators import Actuation, ArmState, guard, semi_implicit_step
 from apcc_torch.model.tendons import TendonRouting
 from apcc_torch.simulation.sensors import PoseSensors
@@ -76,6 +76,14 @@ class DynamicLog(NamedTuple):
     diverged_at: Tensor
 
 
+class PlantState(NamedTuple):
+    """The arm, the integral z (R, n_a) of its tendon loop, m s, and when each row diverged (R,), see `DynamicLog`."""
+
+    arm: ArmState
+    z: Tensor
+    diverged_at: Tensor
+
+
 class Plant:
     """The true arm and its tendon loop.
 
@@ -124,21 +132,61 @@ class Plant:
         return self.pid(z, self.lengths(state.q), self.lengths(state.qdot), reference.y_d, reference.ydot_d)
 
     def step(self, state: ArmState, z: Tensor, reference: TendonReference, dt: float) -> tuple[ArmState, Tensor]:
-        """One plant step of dt seconds and the integral after it."""
+        """One plant step of order 2: linearly implicit Euler over dt and twice over dt/2, extrapolated.
+
+        Tendon damping makes the plant stiff, with an M(q) that changes on the way. Every Euler step takes M where it
+        starts and is stable; a Rosenbrock method, which keeps one M for both its stages, is not at the same dt.
+
+        Args:
+            state: The arm.
+            z: (R, n_a) integral of the tendon loop, m s.
+            reference: At the step's end; the step's references lie on the straight line that leads there.
+            dt: Step, s.
+
+        Returns:
+            The arm and the integral after the step.
+        """
+        half = 0.5 * dt
+        midway = TendonReference(reference.y_d - half * reference.ydot_d, reference.ydot_d)
+        equation = self.dynamics.equation(state.q, state.qdot, self.payload)
+        whole, z_whole = self._euler(state, z, reference, dt, equation)
+        middle, z_middle = self._euler(state, z, midway, half, equation)
+        halves, z_halves = self._euler(middle, z_middle, reference, half, None)
+        later = ArmState(2.0 * halves.q - whole.q, 2.0 * halves.qdot - whole.qdot)
+        return later, 2.0 * z_halves - z_whole
+
+    def _euler(
+        self, state: ArmState, z: Tensor, reference: TendonReference, dt: float, equation: EquationOfMotion | None
+    ) -> tuple[ArmState, Tensor]:
+        """One linearly implicit Euler step under the reference of its end."""
         u = self.forces(state, z, reference) - self.tendon_damping * self.lengths(state.qdot)
         tau = (self.B @ u.unsqueeze(-1)).squeeze(-1)
         actuation = Actuation(tau, self.actuation_stiffness, self.actuation_damping)
-        later = semi_implicit_step(self.dynamics, state, actuation, dt, self.payload)
+        later = semi_implicit_step(self.dynamics, state, actuation, dt, self.payload, equation=equation)
         return later, self.pid.integrate(z, self.lengths(later.q), reference.y_d, dt)
 
-    def settled(self, duration: float, dt: float) -> tuple[ArmState, Tensor]:
-        """The arm at rest under gravity with its tendons held at their zero lengths."""
+    def advance(self, now: PlantState, reference: TendonReference, dt: float, k: int) -> PlantState:
+        """`step` for the rows that are good; a row that leaves its bounds in control step k stays where it was."""
+        moved, z = self.step(now.arm, now.z, reference, dt)
+        kept, diverged_at = guard(torch.cat(now.arm, dim=-1), torch.cat(moved, dim=-1), now.diverged_at, k, self.bound)
+        z = torch.where((diverged_at < 0).unsqueeze(-1), z, now.z)
+        return PlantState(ArmState(*kept.split(self.backbone.n, dim=-1)), z, diverged_at)
+
+    def settled(self, duration: float, dt: float) -> PlantState:
+        """The arm at rest under gravity with its tendons held at their zero lengths.
+
+        Args:
+            duration: How long it may take, s.
+            dt: Step, s.
+        """
         zero = torch.zeros(*self.payload.shape, self.backbone.n, dtype=self.payload.dtype, device=self.payload.device)
-        state, z = ArmState(zero, zero), torch.zeros_like(self.lengths(zero))
+        z = torch.zeros_like(self.lengths(zero))
+        good = torch.full(self.payload.shape, -1, dtype=torch.int64, device=self.payload.device)
+        now = PlantState(ArmState(zero, zero), z, good)
         hold = TendonReference(torch.zeros_like(z), torch.zeros_like(z))
         for _ in range(round(duration / dt)):
-            state, z = self.step(state, z, hold, dt)
-        return state, z
+            now = self.advance(now, hold, dt, 0)
+        return now
 
 
 def _quiet(steps: Iterable[int]) -> Iterable[int]:
@@ -174,37 +222,32 @@ def simulate_dynamic(
         raise ConfigError("the controller of a dynamic simulation needs a tendon routing")
     period = 1.0 / settings.control_rate
     dt = period / settings.substeps
-    arm, z = plant.settled(settings.settle, dt)
-    X_tilde, j = decouple(controller.feedback.abscissae.to(arm.q), plant.dynamics.lengths)
-    start = torch.zeros((), dtype=arm.q.dtype, device=arm.q.device)
+    now = plant.settled(settings.settle, dt)
+    q = now.arm.q
+    X_tilde, j = decouple(controller.feedback.abscissae.to(q), plant.dynamics.lengths)
+    start = torch.zeros((), dtype=q.dtype, device=q.device)
 
     def poses(q: Tensor) -> Tensor:
         return plant.backbone.pose(q, plant.dynamics.lengths, X_tilde, j)
 
-    sensor_state = sensors.initial_state(poses(arm.q))
-    state = _first_state(controller, poses(arm.q), pi_hat, start)
+    sensor_state = sensors.initial_state(poses(q))
+    state = _first_state(controller, poses(q), pi_hat, start)
     y_last = controller.routing.lengths(state.q_d, state.pi_hat)
-    diverged_at = torch.full(arm.q.shape[:-1], -1, dtype=torch.int64, device=arm.q.device)
     rows = []
     for k in progress(range(round(settings.duration * settings.control_rate) + 1)):
         time = start + k * period
-        T = poses(arm.q)
-        sensor_state, seen, mask = sensors(sensor_state, T, generator)
+        sensor_state, seen, mask = sensors(sensor_state, poses(now.arm.q), generator)
         target = trajectory(time)
         pi_before = state.pi_hat
         state, command = controller(state, Measurement(seen, time, mask), target)
         y = command.y
         assert y is not None  # the controller has a routing
-        u = plant.forces(arm, z, ramp(y_last, y, 0.0, period))
-        rows.append(_row(time, target.x_d, plant, arm, pi_before, state, command, y_last, u))
+        u = plant.forces(now.arm, now.z, ramp(y_last, y, 0.0, period))
+        rows.append(_row(time, target.x_d, plant, now.arm, pi_before, state, command, y_last, u))
         for i in range(settings.substeps):
-            reference = ramp(y_last, y, (i + 1) / settings.substeps, period)
-            proposed, z_next = plant.step(arm, z, reference, dt)
-            kept, diverged_at = guard(torch.cat(arm, dim=-1), torch.cat(proposed, dim=-1), diverged_at, k, plant.bound)
-            arm = ArmState(*kept.split(plant.backbone.n, dim=-1))
-            z = torch.where((diverged_at < 0).unsqueeze(-1), z_next, z)
+            now = plant.advance(now, ramp(y_last, y, (i + 1) / settings.substeps, period), dt, k)
         y_last = y
-    return DynamicLog(*[*(torch.stack(column) for column in zip(*rows, strict=True)), diverged_at])
+    return DynamicLog(*[*(torch.stack(column) for column in zip(*rows, strict=True)), now.diverged_at])
 
 
 def _first_state(controller: APCCController, T: Tensor, pi_hat: Tensor, time: Tensor) -> ControllerState:

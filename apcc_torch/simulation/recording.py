@@ -30,8 +30,9 @@ import torch
 from torch import Tensor
 
 from apcc_torch.errors import ConfigError, DataError, ShapeError
+from apcc_torch.files import write_atomically
 from apcc_torch.shapes import check_tensor
-from apcc_torch.simulation.csv_table import CsvTable, read_table, write_atomically
+from apcc_torch.simulation.csv_table import CsvTable, read_table
 
 _POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
 _TARGET = ("target_x", "target_y", "target_z")
@@ -192,6 +193,13 @@ def _load_trunk(path: Path, rate: float) -> Recording:
 LAYOUTS: dict[str, Callable[[Path, float], Recording]] = {"columns": _load_columns, "trunk": _load_trunk}
 
 
+def detect_layout(path: str | Path) -> str:
+    """ "trunk" for a trunk-stack file, or a folder that holds one; else "columns"."""
+    path = Path(path)
+    names = [path.name, *(found.name for found in path.glob("observations_*.csv"))]
+    return "trunk" if any(name.startswith("observations_") for name in names) else "columns"
+
+
 def load_recording(path: str | Path, layout: str = "columns", rate: float = 100.0) -> Recording:
     """Reads a recording whole, in float64.
 
@@ -247,4 +255,4 @@ def save_recording(recording: Recording, path: str | Path) -> None:
     for row in table:
         cells = (str(int(x)) if i in flags else repr(x) if math.isfinite(x) else "" for i, x in enumerate(row))
         lines.append(",".join(cells))
-    write_atomically(Path(path), "\n".join(lines) + "\n")
+    write_atomically(path, "\n".join(lines) + "\n")

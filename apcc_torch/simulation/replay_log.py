@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import io
-import os
 import zipfile
 from collections.abc import Sequence
 from pathlib import Path
@@ -15,6 +13,7 @@ from torch import Tensor
 
 from apcc_torch.errors import DataError, ShapeError
 from apcc_torch.estimation.state_feedback import FeedbackStatus, StateFeedback
+from apcc_torch.files import write_arrays
 from apcc_torch.model.abscissae import decouple
 from apcc_torch.simulation.calibration import rotation_angle
 from apcc_torch.simulation.gating import Reason
@@ -155,20 +154,7 @@ def write_replay(folder: str | Path, log: ReplayLog) -> Path:
     Returns:
         The file.
     """
-    path = Path(folder) / "replay.npz"
-    path.parent.mkdir(parents=True, exist_ok=True)
-    content = io.BytesIO()
-    np.savez_compressed(content, **{name: value.detach().cpu().numpy() for name, value in log._asdict().items()})
-    draft = path.with_name(f".{path.name}.{os.getpid()}.draft")
-    try:
-        with draft.open("wb") as file:
-            file.write(content.getvalue())
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(draft, path)
-    finally:
-        draft.unlink(missing_ok=True)
-    return path
+    return write_arrays(Path(folder) / "replay.npz", log._asdict())
 
 
 def read_replay(folder: str | Path) -> ReplayLog:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 import numpy as np
@@ -25,20 +24,6 @@ def test_the_suffix_names_the_format(tmp_path: Path, suffix: str) -> None:
     path = style.save_figure(style.new_figure(2.0, 2.0), tmp_path / f"a{suffix}")
     head = path.read_bytes()[:200]
     assert {".pdf": b"%PDF", ".svg": b"<?xml", ".png": b"\x89PNG"}[suffix] in head
-
-
-def test_a_failed_write_keeps_the_old_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    path = tmp_path / "a.png"
-    path.write_bytes(b"old")
-
-    def refuse(*_: object) -> None:
-        raise OSError("no space left")
-
-    monkeypatch.setattr(os, "replace", refuse)
-    with pytest.raises(OSError, match="no space"):
-        style.write_bytes_atomically(path, b"new")
-    assert path.read_bytes() == b"old"
-    assert [p.name for p in tmp_path.iterdir()] == ["a.png"]
 
 
 def test_save_figures_names_every_file(tmp_path: Path) -> None:

@@ -22,7 +22,6 @@ from apcc_torch.estimation.savitzky_golay import SavitzkyGolay
 from apcc_torch.estimation.state_feedback import FeedbackStatus, StateFeedback
 from apcc_torch.model.abscissae import decouple
 from apcc_torch.model.backbone import PCCBackbone
-from apcc_torch.simulation import replay_log
 from apcc_torch.simulation.calibration import Calibration
 from apcc_torch.simulation.gating import Reason, SensorGate, gate_recording
 from apcc_torch.simulation.recorded_arm import TRUNK_BASE, gate_frames, recorded_arm
@@ -330,7 +329,7 @@ def test_a_replay_file_is_whole_or_not_there(tmp_path: Path, monkeypatch: pytest
         raise OSError("disk full")
 
     with monkeypatch.context() as broken:
-        broken.setattr(replay_log.os, "fsync", fails)
+        broken.setattr("os.fsync", fails)
         with pytest.raises(OSError, match="disk full"):
             write_replay(tmp_path / "run", log._replace(time=log.time + 1))
     assert path.read_bytes() == before and [p.name for p in path.parent.iterdir()] == ["replay.npz"]

@@ -1,0 +1,119 @@
+"""python -m apcc_torch.benchmark: section V-B and Appendix A whole, one table beside the paper's, and the figures."""
+
+from __future__ import annotations
+
+import logging
+import sys
+from contextlib import nullcontext
+from dataclasses import asdict
+from pathlib import Path
+
+import hydra
+import torch
+from hydra import compose, initialize_config_dir
+from hydra.core.config_store import ConfigStore
+from hydra.core.global_hydra import GlobalHydra
+from hydra.core.hydra_config import HydraConfig
+from hydra.errors import HydraException
+from omegaconf import DictConfig, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+
+from apcc_torch.conf_path import conf_path
+from apcc_torch.configs.schema import BenchmarkConfig, PairConfig, SimulateConfig
+from apcc_torch.errors import ApccError, ConfigError
+from apcc_torch.experiments import paper
+from apcc_torch.files import write_atomically
+from apcc_torch.simulate import typed as experiment_of
+
+log = logging.getLogger("apcc_torch.benchmark")
+
+ConfigStore.instance().store(name="benchmark_schema", node=BenchmarkConfig)
+
+
+def typed(cfg: DictConfig) -> BenchmarkConfig:
+    """The settings as a dataclass.
+
+    Raises:
+        ConfigError: A value is missing or of the wrong type.
+    """
+    try:
+        config = OmegaConf.to_object(cfg)
+    except OmegaConfBaseException as error:
+        raise ConfigError(str(error).splitlines()[0]) from error
+    assert isinstance(config, BenchmarkConfig)  # what the schema makes of any composed configuration
+    return config
+
+
+def experiment(name: str, overrides: list[str]) -> SimulateConfig:
+    """An experiment of apcc_torch.simulate with some of its settings changed. Hydra must be initialised.
+
+    Raises:
+        ConfigError: There is no such experiment, key or choice, or a value has the wrong type.
+    """
+    try:
+        return experiment_of(compose("simulate", [f"experiment={name}", *overrides]))
+    except (HydraException, OmegaConfBaseException) as error:
+        changed = f" with {', '.join(overrides)}" if overrides else ""
+        raise ConfigError(f"experiment {name}{changed}: {str(error).splitlines()[0]}") from error
+
+
+def pair(config: BenchmarkConfig, names: PairConfig) -> paper.Pair:
+    """Both controllers' settings of one run, cut to the grid.
+
+    Raises:
+        ConfigError: A setting has no meaning.
+    """
+    changes = config.experiments
+    standard = experiment(names.standard, [*changes.common, *changes.standard])
+    adaptive = experiment(names.adaptive, [*changes.common, *changes.adaptive])
+    return paper.Pair(paper.on_grid(standard, config.grid, False), paper.on_grid(adaptive, config.grid, True))
+
+
+def compose_pairs(config: BenchmarkConfig) -> paper.Pairs:
+    """The experiments' settings: comparison -> run -> both controllers'.
+
+    Raises:
+        ConfigError: A setting has no meaning.
+    """
+    # Inside the program hydra is initialised already, with the user's own --config-dir where there is one.
+    ready = GlobalHydra.instance().is_initialized()
+    with nullcontext() if ready else initialize_config_dir(conf_path(), version_base="1.3"):
+        return {
+            name: {run: pair(config, names) for run, names in comparison.runs.items()}
+            for name, comparison in config.grid.comparisons.items()
+        }
+
+
+def run(cfg: DictConfig, folder: Path) -> str:
+    """Runs the benchmark into `folder` and returns its table as text."""
+    config = typed(cfg)
+    if config.threads is not None:
+        torch.set_num_threads(config.threads)
+    pairs = compose_pairs(config)
+    settings = {
+        comparison: {name: {who: asdict(c) for who, c in both._asdict().items()} for name, both in runs.items()}
+        for comparison, runs in pairs.items()
+    }
+    write_atomically(folder / "config.yaml", OmegaConf.to_yaml({"benchmark": asdict(config), "runs": settings}))
+    return paper.run(config, pairs, folder)
+
+
+@hydra.main(version_base="1.3", config_path=conf_path(), config_name="benchmark")
+def _hydra_main(cfg: DictConfig) -> None:
+    folder = Path(HydraConfig.get().runtime.output_dir)
+    try:
+        words = run(cfg, folder)
+    except ApccError as error:
+        # A wrong setting is the user's to mend: one sentence, no stack.
+        log.error("%s", error)
+        sys.exit(2)
+    log.info("results in %s\n%s", folder, words)
+
+
+def main() -> None:
+    """Console entry point."""
+    _hydra_main()
+
+
+if __name__ == "__main__":
+    main()

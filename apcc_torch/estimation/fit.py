@@ -1,0 +1,82 @@
+"""One evaluation of the model against the sensors: what each iteration of algorithm 2 compares and steps from."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from apcc_torch.lie import se3, so3
+from apcc_torch.model.backbone import MaterialPoints, PCCBackbone
+from apcc_torch.model.chain import body_jacobian
+
+
+class Problem(NamedTuple):
+    """What stays the same during the iterations, all of one leading shape.
+
+    T: (..., k, 4, 4) measured poses, zero where not usable.
+    points: The sensors on the model.
+    usable, oriented: (..., k) bool, sensors and orientations that count.
+    weights: (..., k, 6, 1) weights of the rows of a step, see `step.Residual`.
+    """
+
+    T: Tensor
+    points: MaterialPoints
+    usable: Tensor
+    oriented: Tensor
+    weights: Tensor
+
+
+class Fit(NamedTuple):
+    """The model at q beside the sensors.
+
+    q: (..., n).
+    twist: (..., k, 6) from model to sensor, angular (rad) over linear (m), zero where not used.
+    k: (..., k, 1) of the twist, see `so3.half_log`; 0 where the mode takes no logarithm.
+    body: (..., k, 6, n) body Jacobians.
+    """
+
+    q: Tensor
+    twist: Tensor
+    k: Tensor
+    body: Tensor
+
+    def squares(self) -> tuple[Tensor, Tensor]:
+        """Squared norms (..., k) of the angular (rad^2) and linear (m^2) parts."""
+        angular, linear = self.twist.square().unflatten(-1, (2, 3)).sum(-1).unbind(-1)
+        return angular, linear
+
+    def errors(self) -> tuple[Tensor, Tensor]:
+        """Norms (..., k) of the angular (rad) and linear (m) parts."""
+        angular, linear = self.twist.unflatten(-1, (2, 3)).norm(dim=-1).unbind(-1)
+        return angular, linear
+
+
+def evaluate(backbone: PCCBackbone, mode: str, q: Tensor, problem: Problem) -> Fit:
+    """The model at q (..., n) beside the sensors; mode as in `StateFeedback`."""
+    chain = backbone.chain_to(q, problem.points)
+    into_body = chain.rotation.mT
+    offset = torch.where(problem.usable.unsqueeze(-1), problem.T[..., :3, 3] - chain.tip, 0.0)
+    linear = (into_body @ offset.unsqueeze(-1)).squeeze(-1)  # Eq. (32), in the sensor's own axes
+    if mode == "position":
+        twist, k = torch.nn.functional.pad(linear, (3, 0)), torch.zeros_like(linear[..., :1])
+    else:
+        identity = torch.eye(3, dtype=q.dtype, device=q.device)
+        turn = into_body @ problem.T[..., :3, :3]
+        half, k = so3.half_log(torch.where(problem.oriented[..., None, None], turn, identity))
+        # The linear part of Eq. (30) depends on the orientation, which has no say where positions come first.
+        hierarchical = mode == "hierarchical"
+        twist = torch.cat((2.0 * half, linear), dim=-1) if hierarchical else se3.log_from_half(half, k, linear)
+    return Fit(q, twist, k, body_jacobian(chain, problem.points.fraction))
+
+
+def select(take: Tensor, new: Fit, old: Fit) -> Fit:
+    """Row by row the new or the old fit; take (...) bool."""
+    row, matrix, stack = (take[(..., *(None,) * extra)] for extra in (1, 2, 3))
+    return Fit(
+        torch.where(row, new.q, old.q),
+        torch.where(matrix, new.twist, old.twist),
+        torch.where(matrix, new.k, old.k),
+        torch.where(stack, new.body, old.body),
+    )

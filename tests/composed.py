@@ -1,0 +1,35 @@
+"""Settings composed from conf/ as the programs compose them."""
+
+from __future__ import annotations
+
+from functools import cache
+
+from hydra import compose, initialize_config_dir
+from omegaconf import DictConfig, OmegaConf
+
+from apcc_torch.conf_path import conf_path
+from apcc_torch.configs.schema import SimulateConfig
+from apcc_torch.simulate import typed
+
+
+def raw(*overrides: str) -> DictConfig:
+    """What hydra makes of the overrides."""
+    with initialize_config_dir(conf_path(), version_base="1.3"):
+        return compose("simulate", list(overrides))
+
+
+def composed(*overrides: str) -> SimulateConfig:
+    """The settings as the experiments take them."""
+    return typed(raw(*overrides))
+
+
+@cache
+def _plain(experiment: str) -> DictConfig:
+    return raw(f"experiment={experiment}")
+
+
+def changed(experiment: str, *changes: str) -> SimulateConfig:
+    """`composed` of an experiment and changed keys, without choices of groups: much faster where many are tried."""
+    cfg = OmegaConf.merge(_plain(experiment), OmegaConf.from_dotlist(list(changes)))
+    assert isinstance(cfg, DictConfig)
+    return typed(cfg)

@@ -1,0 +1,125 @@
+"""Every configuration fits the schema; a key or type that does not is refused with its name."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import pytest
+from hydra.errors import HydraException
+from omegaconf import OmegaConf
+
+from apcc_torch.conf_path import conf_path
+from apcc_torch.configs.schema import (
+    AdaptationConfig,
+    ControllerConfig,
+    FeedbackConfig,
+    PlantConfig,
+    RobotConfig,
+    SensorsConfig,
+    SimulateConfig,
+    VelocityFilterConfig,
+)
+from apcc_torch.errors import ConfigError
+from apcc_torch.simulate import EXPERIMENTS
+from composed import composed, raw
+
+CONF = Path(conf_path())
+GROUPS = {
+    "adaptation": AdaptationConfig,
+    "controller": ControllerConfig,
+    "feedback": FeedbackConfig,
+    "plant": PlantConfig,
+    "robot": RobotConfig,
+    "sensors": SensorsConfig,
+    "velocity_filter": VelocityFilterConfig,
+}
+
+
+def choices(group: str) -> list[str]:
+    return sorted(path.stem for path in (CONF / group).glob("*.yaml"))
+
+
+@pytest.mark.parametrize("experiment", choices("experiment"))
+def test_every_experiment_composes(experiment: str) -> None:
+    config = composed(f"experiment={experiment}")
+    assert isinstance(config, SimulateConfig)
+    assert config.experiment.name == experiment
+    assert config.experiment.kind in EXPERIMENTS
+    assert OmegaConf.missing_keys(raw(f"experiment={experiment}")) == set()
+
+
+@pytest.mark.parametrize("experiment", ["kinematic", "dynamic_run_2", "replay"])
+def test_every_choice_composes_with_every_kind_of_experiment(experiment: str) -> None:
+    available = {group: choices(group) for group in GROUPS}
+    for k in range(max(len(names) for names in available.values())):
+        chosen = {group: names[k % len(names)] for group, names in available.items()}
+        config = composed(f"experiment={experiment}", *(f"{group}={name}" for group, name in chosen.items()))
+        assert all(isinstance(getattr(config, group), kind) for group, kind in GROUPS.items())
+        assert config.experiment.name == experiment
+
+
+@pytest.mark.parametrize("state", ["feedback", "exact"])
+def test_both_states_compose(state: str) -> None:
+    assert composed("experiment=kinematic", f"state={state}").state == state
+
+
+@pytest.mark.parametrize("group", sorted(GROUPS))
+def test_every_choice_sets_every_key_of_its_group(group: str) -> None:
+    # A key that a file leaves out would take its value, unseen, from the schema.
+    keys = {field.name for field in dataclasses.fields(GROUPS[group])}
+    for name in choices(group):
+        assert set(OmegaConf.load(CONF / group / f"{name}.yaml")) == keys, f"conf/{group}/{name}.yaml"
+
+
+def test_the_papers_numbers() -> None:
+    config = composed("experiment=dynamic_run_2")
+    assert config.plant.lengths == [0.0525, 0.0525, 0.1275, 0.1275, 0.12, 0.12]
+    assert (config.plant.K_P, config.plant.K_I, config.plant.K_D) == (750.0, 1.0, 5.0)
+    assert (config.plant.axial_stiffness, config.plant.bending_stiffness) == (100.0, 0.778)
+    assert config.robot.sensors == config.robot.racks == [0.105, 0.36, 0.60]
+    assert config.experiment.payloads == [0.0, 0.25, 0.5]
+    assert config.experiment.setpoints is not None and len(config.experiment.setpoints) == 10
+    assert config.experiment.setpoints[0] == [0.325, 0.15, -0.275]
+    sine = composed("experiment=kinematic").experiment
+    assert (sine.r_0, sine.A, sine.duration) == ([0.0, 0.0, -0.5], [0.5, 0.3, 0.1], 20.0)
+
+
+def test_an_override_wins_over_its_group() -> None:
+    config = composed("experiment=kinematic", "controller.gamma=20", "robot.sensors=[0.1,0.2]", "threads=null")
+    assert config.controller.gamma == 20 and config.robot.sensors == [0.1, 0.2] and config.threads is None
+
+
+@pytest.mark.parametrize("key", ["gama", "controller.gama", "experiment.setpoint", "plant.K_Q"])
+def test_an_unknown_key_is_named(key: str) -> None:
+    with pytest.raises(HydraException, match=key.rsplit(".", 1)[-1]):
+        raw("experiment=kinematic", f"{key}=1")
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("controller.rate", "fast"),
+        ("controller.adaptive", "perhaps"),
+        ("plant.substeps", "2.5"),
+        ("robot.sensors", "0.1"),
+        ("robot.sensors", "[a,b]"),
+        ("seed", "[1]"),
+        ("experiment.setpoints", "0.3"),
+    ],
+)
+def test_a_wrong_type_is_named(key: str, value: str) -> None:
+    with pytest.raises(HydraException) as caught:
+        raw("experiment=kinematic", f"{key}={value}")
+    told = f"{caught.value} {caught.value.__cause__}"
+    assert key in told, told
+
+
+def test_an_unknown_choice_is_refused_with_what_there_is() -> None:
+    with pytest.raises(HydraException, match="dynamic_run_2"):
+        raw("experiment=dynamic_run_3")
+
+
+def test_a_missing_value_is_named() -> None:
+    with pytest.raises(ConfigError, match="lengths"):
+        composed("experiment=kinematic", "robot.rest_lengths=???")

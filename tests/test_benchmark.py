@@ -1,0 +1,100 @@
+"""python -m apcc_torch.benchmark as a user runs it."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from contextlib import suppress
+from pathlib import Path
+
+import numpy as np
+import pytest
+from omegaconf import OmegaConf
+
+from apcc_torch.benchmark import main
+from apcc_torch.experiments.paper_figures import NUMBERED
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
+    """The folder of a very short benchmark of run II alone, and what the program printed."""
+    folder = tmp_path_factory.mktemp("benchmark")
+    quick = '["controller.rate=20","plant.settle=0.1","plant.substeps=2"]'
+    env = os.environ | {"PYTHONPATH": os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])}
+    command = [
+        sys.executable, "-m", "apcc_torch.benchmark", "grid=small", "grid.duration=0.2", "hydra.run.dir=out",
+        "~grid.comparisons.A.runs.run_1", "~grid.comparisons.A.runs.robot_2",
+        f"experiments.common={quick}", 'experiments.adaptive=["adaptation=partial"]',
+    ]  # fmt: skip
+    done = subprocess.run(command, cwd=folder, env=env, capture_output=True, text=True, check=False, timeout=300)
+    assert done.returncode == 0, done.stderr
+    return folder / "out", done.stdout
+
+
+def test_folder_is_whole(finished: tuple[Path, str]) -> None:
+    folder, printed = finished
+    metrics = json.loads((folder / "metrics.json").read_text())
+    table = json.loads((folder / "table.json").read_text())
+    assert metrics["run_2_adaptive_rows"] == 4 and metrics["run_2_held_out_standard_rows"] == 2
+    assert metrics["wall_s"] > metrics["run_2_standard_wall_s"] > 0
+    assert set(table["A"]) == {f"run_2{part}" for part in ("", "_held_out", "_single")}
+    assert {"torch", "seeds"} <= set(json.loads((folder / "versions.json").read_text()))
+    assert (folder / "table.txt").read_text() in printed
+    assert (folder / "benchmark.log").stat().st_size > 0
+
+
+def test_figures_carry_the_papers_numbers(finished: tuple[Path, str]) -> None:
+    names = {path.name for path in (finished[0] / "figures").iterdir()}
+    drawn = {f"figure_{number}.png" for number, (run, _, _) in NUMBERED.items() if run.startswith("run_2")}
+    films = {Path(name).stem for name in names - drawn}
+    assert drawn <= names
+    assert films == {"single_run_standard", "single_run_adaptive"}
+
+
+def test_config_holds_every_runs_settings(finished: tuple[Path, str]) -> None:
+    config = OmegaConf.load(finished[0] / "config.yaml")
+    runs = config.runs.A
+    assert config.benchmark.grid.name == "small"
+    assert runs.run_2.standard.adaptation.regressor == "estimator_aware"
+    assert runs.run_2.adaptive.adaptation.regressor == "partial"
+    assert runs.run_2.standard.controller.rate == 20.0
+    assert runs.run_2.standard.experiment.payloads == [0.0, 0.5]
+
+
+def test_logs_are_kept(finished: tuple[Path, str]) -> None:
+    with np.load(finished[0] / "data" / "A_run_2_adaptive.npz") as log:
+        assert log["q_true"].shape == (5, 4, 18)
+        assert log["time"][-1] == pytest.approx(0.2)
+
+
+def test_help_teaches(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setattr(sys, "argv", ["apcc-benchmark", "--help"])
+    with suppress(SystemExit):
+        main()
+    printed = capsys.readouterr().out
+    assert "table.json" in printed and "grid: paper, small" in printed
+    assert "experiments.common" in printed
+
+
+@pytest.mark.parametrize(
+    ("argument", "sentence"),
+    [
+        ("grid.setpoints=11", "grid.setpoints must be between 1 and 10, got 11"),
+        ('experiments.common=["controller.gama=1"]', "controller.gama"),
+        ("grid.comparisons.A.runs.run_1.standard=dynamic_run_7", "dynamic_run_7"),
+        ("grid.comparisons.A.runs.run_1={standard: dynamic_run_1, adaptive: robot_2}", "same experiment.setpoints"),
+    ],
+)
+def test_wrong_settings_end_in_one_sentence(
+    argument: str, sentence: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    quiet = ("hydra/job_logging=none", "hydra/hydra_logging=none")  # the process's logging stays as it is
+    monkeypatch.setattr(sys, "argv", ["apcc-benchmark", argument, f"hydra.run.dir={tmp_path}", *quiet])
+    with pytest.raises(SystemExit) as stopped:
+        main()
+    assert stopped.value.code == 2
+    assert sentence in caplog.text and "Traceback" not in caplog.text
