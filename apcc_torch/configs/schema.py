@@ -40,7 +40,7 @@ class PlantConfig:
     K_D: float = 5.0
     force_limit: float | None = None
     tendon_damping: float = 200.0
-    substeps: int = 4
+    substeps: int = 2
     settle: float = 3.0
 
 

@@ -131,7 +131,8 @@ class AdaptiveLaw(nn.Module):
             gamma, reach = self.gamma.to(pi_hat), self.reach.to(pi_hat)
             for i in range(1, pi_hat.shape[-1] + 1):
                 toward = gamma[..., :i].sum(-1)
-                missing = (reach[i - 1] - pi_hat[..., :i].sum(-1, keepdim=True)).clamp(min=0.0)
+                short = (reach[i - 1] - pi_hat[..., :i].sum(-1, keepdim=True)).clamp(min=0.0)
+                missing = torch.where(reach[i - 1] > 0, short, 0.0)
                 pi_hat = pi_hat + missing * toward / toward[..., :i].sum(-1, keepdim=True)
         return pi_hat
 

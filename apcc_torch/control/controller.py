@@ -134,7 +134,10 @@ class APCCController(nn.Module):
         filtered, qdot_bar = self.velocity_filter(state.velocity_filter, q_bar, measurement.time)
 
         # One chain serves the tip, its Jacobian and that Jacobian's rate.
-        chain = self.backbone.chain(q_bar.expand(*batch, q_bar.shape[-1]), pi_hat)
+        if self.adaptive and self.law.regressor == "estimator_aware":
+            chain, followed = self.feedback.followed(inference, batch)
+        else:
+            chain, followed = self.backbone.chain(q_bar.expand(*batch, q_bar.shape[-1]), pi_hat), None
         e = target.x_d - self._measured_tip(measurement, chain.tip)
         qdot = self.inverse_kinematics(tip_jacobian(chain), e, target.xdot_d.expand_as(e), q_bar)
         q_d = self._bounded(state.q_d + dt.unsqueeze(-1) * qdot)
@@ -142,11 +145,11 @@ class APCCController(nn.Module):
         q_d = torch.where(torch.isfinite(q_d), q_d, state.q_d)
         if self.adaptive:
             used = qdot_bar if self.velocity == "measured" else qdot
-            if self.law.regressor == "partial":
+            if followed is None:
                 Y, _ = self.backbone.regressor(q_bar, used)
             else:
                 rate = jacobian_rate(chain, split_configuration(used.expand(*batch, used.shape[-1])))
-                Y = _total_regressor(rate, self.feedback.followed(inference))
+                Y = _total_regressor(rate, followed)
             pi_hat = self.law(pi_hat, Y, e, dt)
         y = None if self.routing is None else self.routing.lengths(q_d - self.reference_damping * qdot_bar, pi_hat)
         later = ControllerState(q_bar, qdot_bar, pi_hat, q_d, qdot, filtered, measurement.time.expand_as(dt))

@@ -15,13 +15,14 @@ from apcc_torch.model.chain import body_jacobian
 class Problem(NamedTuple):
     """What stays the same during the iterations, all of one leading shape.
 
-    T: (..., k, 4, 4) measured poses, zero where not usable.
+    rotation: (..., k, 3, 3) and position: (..., k, 3) m, the measured poses, zero where not usable.
     points: The sensors on the model.
     usable, oriented: (..., k) bool, sensors and orientations that count.
     weights: (..., k, 6, 1) weights of the rows of a step, see `step.Residual`.
     """
 
-    T: Tensor
+    rotation: Tensor
+    position: Tensor
     points: MaterialPoints
     usable: Tensor
     oriented: Tensor
@@ -57,13 +58,13 @@ def evaluate(backbone: PCCBackbone, mode: str, q: Tensor, problem: Problem) -> F
     """The model at q (..., n) beside the sensors; mode as in `StateFeedback`."""
     chain = backbone.chain_to(q, problem.points)
     into_body = chain.rotation.mT
-    offset = torch.where(problem.usable.unsqueeze(-1), problem.T[..., :3, 3] - chain.tip, 0.0)
+    offset = torch.where(problem.usable.unsqueeze(-1), problem.position - chain.tip, 0.0)
     linear = (into_body @ offset.unsqueeze(-1)).squeeze(-1)  # Eq. (32), in the sensor's own axes
     if mode == "position":
         twist, k = torch.nn.functional.pad(linear, (3, 0)), torch.zeros_like(linear[..., :1])
     else:
         identity = torch.eye(3, dtype=q.dtype, device=q.device)
-        turn = into_body @ problem.T[..., :3, :3]
+        turn = into_body @ problem.rotation
         half, k = so3.half_log(torch.where(problem.oriented[..., None, None], turn, identity))
         # The linear part of Eq. (30) depends on the orientation, which has no say where positions come first.
         hierarchical = mode == "hierarchical"

@@ -14,7 +14,7 @@ from apcc_torch.estimation.step import Residual, hierarchical_step, least_square
 from apcc_torch.lie import se3
 from apcc_torch.model.abscissae import located
 from apcc_torch.model.backbone import MaterialPoints, PCCBackbone
-from apcc_torch.model.chain import body_jacobian
+from apcc_torch.model.chain import Chain, body_jacobian, last_chain
 from apcc_torch.shapes import batch_shape, check_finite, check_same, check_tensor
 
 MODES = ("position", "pose", "hierarchical")
@@ -56,13 +56,11 @@ class Inference(NamedTuple):
 
     feedback: The result.
     pi_hat: (..., n_b) the parameters it was inferred with, m.
-    body: (..., k, 6, 3 n_b) body Jacobians at the sensors, at q_bar.
     problem: The sensors.
     """
 
     feedback: Feedback
     pi_hat: Tensor
-    body: Tensor
     problem: Problem
 
 
@@ -73,6 +71,14 @@ class _Scored(NamedTuple):
     cost: Tensor  # (...) m^2
     position_cost: Tensor  # (...) m^2
     within: Tensor  # (...) bool, both thresholds are met
+
+
+class _Step(NamedTuple):
+    """A step and what it promises."""
+
+    step: Tensor  # (..., n)
+    twist: Tensor  # (..., k, 6) after the step, to first order
+    negligible: Tensor  # (...) bool
 
 
 class StateFeedback(nn.Module):
@@ -100,7 +106,7 @@ class StateFeedback(nn.Module):
         bend_step: Largest change of a bend in one step, rad.
         length_step: Largest change of a section's elongation in one step, m.
         damping: First Levenberg-Marquardt damping, m^2.
-        settled_step: A step with every entry (rad, m) below this ends the row.
+        settled_step: A step with every entry (rad, m) below this is the row's last.
 
     Raises:
         ValueRangeError: The sensor set is empty, not sorted or negative, or a setting is out of range.
@@ -198,16 +204,17 @@ class StateFeedback(nn.Module):
         batch = batch_shape(q_seed=(q_seed, 1), pi_hat=(pi_hat, 1), sensors=(oriented, 1))
         usable, oriented = usable.expand(*batch, k), oriented.expand(*batch, k)
         pi_hat = pi_hat.expand(*batch, pi_hat.shape[-1])
+        # What is left out is measured where the model has it: it pulls nowhere, and nothing non-finite enters.
+        T = torch.where(usable[..., None, None], T, 0.0)
         problem = Problem(
-            # What is left out is measured where the model has it: it pulls nowhere, and nothing non-finite enters.
-            torch.where(usable[..., None, None], T, 0.0),
+            T[..., :3, :3],
+            T[..., :3, 3],
             self.backbone.material_points(pi_hat, *located(self._abscissae(pi_hat).expand(*batch, k), pi_hat)),
             usable,
             oriented,
             self._weights(usable, oriented, pi_hat.dtype),
         )
-        fit, feedback = self._iterate(q_seed.expand(*batch, q_seed.shape[-1]), problem)
-        return Inference(feedback, pi_hat, fit.body, problem)
+        return Inference(self._iterate(q_seed.expand(*batch, q_seed.shape[-1]), problem), pi_hat, problem)
 
     def used(self, T: Tensor, mask: Tensor | None = None, angular_mask: Tensor | None = None) -> tuple[Tensor, Tensor]:
         """Which sensors, and which orientations, count: two bool (..., k). Arguments as `forward`."""
@@ -230,8 +237,7 @@ class StateFeedback(nn.Module):
             oriented = torch.zeros_like(oriented)
         return row_weights(oriented * (self.angular_weight if self.mode == "pose" else 1.0), usable, dtype)
 
-    def _evaluate(self, q: Tensor, problem: Problem) -> _Scored:
-        fit = evaluate(self.backbone, self.mode, q, problem)
+    def _score(self, fit: Fit) -> _Scored:
         angular, linear = fit.squares()
         cost = torch.add(linear, angular, alpha=self.angular_weight**2).sum(-1)
         position_cost = linear.sum(-1) if self.mode == "hierarchical" else cost
@@ -241,17 +247,18 @@ class StateFeedback(nn.Module):
     def _solve(self, residual: Residual, damping: Tensor) -> Tensor:
         return (hierarchical_step if self.mode == "hierarchical" else least_squares_step)(residual, damping)
 
-    def _step(self, fit: Fit, problem: Problem, damping: Tensor, limits: Tensor) -> tuple[Tensor, Tensor]:
-        """The step (..., n), and which rows' steps are negligible (...)."""
+    def _step(self, fit: Fit, weights: Tensor, damping: Tensor, limits: Tensor) -> _Step:
         body = fit.body
         if self.mode == "pose":
             # log(exp(-d) exp(V)) = V - J_l^-1(V) d: with J_b alone, right at V = 0, a step near the best fit of sensors
             # that do not fit is no descent, and the estimate would stop short by up to a milliradian.
             body = se3.left_jacobian_inverse_times(fit.twist, fit.k, body)
-        step = self._solve(Residual(fit.twist.unsqueeze(-1), body, problem.weights), damping).squeeze(-1)
+        twist = fit.twist.unsqueeze(-1)
+        step = self._solve(Residual(twist, body, weights), damping)
         size = step.abs()
-        excess = (size / limits).amax(-1, keepdim=True).clamp(min=1.0)
-        return step / excess, size.amax(-1) < self.settled_step
+        step = step / (size / limits).amax((-1, -2), keepdim=True).clamp(min=1.0)
+        after = torch.where(weights > 0.0, twist - body @ step.unsqueeze(-3), 0.0)
+        return _Step(step.squeeze(-1), after.squeeze(-1), size.amax((-1, -2)) < self.settled_step)
 
     def _better(self, trial: _Scored, best: _Scored) -> Tensor:
         if self.mode != "hierarchical":
@@ -269,8 +276,8 @@ class StateFeedback(nn.Module):
         within = torch.where(take, trial.within, best.within)
         return _Scored(select(take, trial.fit, best.fit), cost, position_cost, within)
 
-    def _iterate(self, q_seed: Tensor, problem: Problem) -> tuple[Fit, Feedback]:
-        best = self._evaluate(q_seed, problem)
+    def _iterate(self, q_seed: Tensor, problem: Problem) -> Feedback:
+        best = self._score(evaluate(self.backbone, self.mode, q_seed, problem))
         valid = problem.usable.any(-1) & torch.isfinite(best.cost)
         # Below this the damped normal matrix, of order one, is singular to rounding where sensors leave freedom.
         floor = 32.0 * torch.finfo(best.cost.dtype).eps
@@ -285,25 +292,33 @@ class StateFeedback(nn.Module):
             # Leaving early reads a value, so a traced or compiled step runs all iterations with frozen rows instead.
             if not torch.compiler.is_compiling() and bool(done.all()):
                 break
-            step, negligible = self._step(best.fit, problem, damping, limits)
-            trial = self._evaluate(best.fit.q + step, problem)
-            live = ~done
-            take = self._better(trial, best) & live
+            live, last = ~done, k + 1 >= self.min_iterations
+            step = self._step(best.fit, problem.weights, damping, limits)
+            negligible = step.negligible & live
+            # A negligible step that is a row's last is taken on trust, and what it leaves is what it promises: only
+            # the pose's twist, whose derivative is exact, keeps that promise to second order.
+            trusted = negligible if last and self.mode == "pose" else torch.zeros_like(live)
+            trial = Fit(best.fit.q + step.step, step.twist, best.fit.k, best.fit.body)
+            if torch.compiler.is_compiling() or not bool((done | trusted).all()):
+                fit = evaluate(self.backbone, self.mode, trial.q, problem)
+                trial = fit._replace(twist=torch.where(trusted[..., None, None], step.twist, fit.twist))
+            scored = self._score(trial)
+            take = (self._better(scored, best) | trusted) & live
             iterations = iterations + live
-            settled = settled | (negligible & live)
-            best = self._chosen(take, trial, best)
+            settled = settled | negligible
+            best = self._chosen(take, scored, best)
             damping = torch.where(take, 0.1 * damping, 10.0 * damping).clamp(min=floor)
-            if k + 1 >= self.min_iterations:
+            if last:
                 done = done | settled | best.within
         status = torch.where(best.within, FeedbackStatus.CONVERGED, FeedbackStatus.ITERATION_LIMIT)
         status = torch.where(settled & ~best.within, FeedbackStatus.SETTLED, status)
         status = torch.where(valid, status, FeedbackStatus.INVALID)
-        return best.fit, Feedback(best.fit.q, *best.fit.errors(), iterations, status)
+        return Feedback(best.fit.q, *best.fit.errors(), iterations, status)
 
     def _limits(self, like: Tensor) -> Tensor:
-        """(n,) largest change of each configuration variable in one step."""
+        """(n, 1) largest change of each configuration variable in one step."""
         bend = torch.full((self.backbone.n_sections, 2), self.bend_step, dtype=like.dtype, device=like.device)
-        return torch.nn.functional.pad(bend, (0, 1), value=self.length_step).flatten()
+        return torch.nn.functional.pad(bend, (0, 1), value=self.length_step).reshape(-1, 1)
 
     def sensitivity(
         self, q_bar: Tensor, pi_hat: Tensor, mask: Tensor | None = None, angular_mask: Tensor | None = None
@@ -332,12 +347,22 @@ class StateFeedback(nn.Module):
         body = body_jacobian(self.backbone.chain_to(q, points), points.fraction)
         return self._followed(q, pi, points, body, self._weights(usable, oriented, q.dtype)).to(q_bar.dtype)
 
-    def followed(self, inference: Inference) -> Tensor:
-        """`sensitivity` (..., 3 n_b, n_b) where algorithm 2 ended, from the Jacobians that it ended with."""
-        feedback, pi_hat, body, problem = inference
-        if body.dtype != torch.float64:
-            return self.sensitivity(feedback.q_bar, pi_hat, problem.usable, problem.oriented)
-        return self._followed(feedback.q_bar, pi_hat, problem.points, body, problem.weights)
+    def followed(self, inference: Inference, batch: torch.Size) -> tuple[Chain, Tensor]:
+        """The arm's chain at q_bar and `sensitivity` (..., 3 n_b, n_b) there, from one pass.
+
+        Args:
+            inference: From `infer`.
+            batch: Leading shape of the results; that of the inference broadcasts to it.
+        """
+        feedback, pi_hat, problem = inference
+        q_bar = feedback.q_bar
+        q = q_bar.expand(*batch, q_bar.shape[-1])
+        if q.dtype != torch.float64:
+            return self.backbone.chain(q, pi_hat), self.sensitivity(q_bar, pi_hat, problem.usable, problem.oriented)
+        points = self.backbone.with_tip(problem.points, pi_hat)
+        chain = self.backbone.chain_to(q, points)
+        body = body_jacobian(chain, points.fraction)[..., :-1, :, :]
+        return last_chain(chain), self._followed(q_bar, pi_hat, problem.points, body, problem.weights)
 
     def _followed(self, q: Tensor, pi: Tensor, points: MaterialPoints, body: Tensor, weights: Tensor) -> Tensor:
         moved = self.backbone.parameter_columns(q, pi, self._abscissae(pi), points, body)

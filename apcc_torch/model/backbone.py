@@ -121,6 +121,12 @@ class PCCBackbone(nn.Module):
         fraction = section_fractions(X_tilde, j, self.n_sections)
         return MaterialPoints(fraction, L0.unsqueeze(-2) * fraction, j)
 
+    def with_tip(self, points: MaterialPoints, L0: Tensor) -> MaterialPoints:
+        """The points (..., k) and after them the arm's tip, for L0 (..., n_b) of the same leading shape; unchecked."""
+        fraction = torch.nn.functional.pad(points.fraction, (0, 0, 0, 1), value=1.0)
+        section = torch.nn.functional.pad(points.section, (0, 1), value=self.n_sections - 1)
+        return MaterialPoints(fraction, torch.cat((points.length, L0.unsqueeze(-2)), dim=-2), section)
+
     def tip(self, q: Tensor, L0: Tensor) -> Tensor:
         """Tip position x(q, pi), (..., 3) m, world frame. Eq. (3) [Dalenberg]."""
         self.check(q, L0)

@@ -73,6 +73,15 @@ def flatten_columns(blocks: Tensor) -> Tensor:
     return blocks.transpose(-3, -2).flatten(-2)
 
 
+def last_chain(chain: Chain) -> Chain:
+    """Of chains (..., k) to several points, the one to the last point."""
+    c = Stumpff(*(value[..., -1, :] for value in chain.c))
+    arcs = Arc(*(value[..., -1, :, :, :] for value in chain.arcs))
+    x, y, length = (value[..., -1, :] for value in (chain.x, chain.y, chain.length))
+    before, ends, rotation = chain.before[..., -1, :, :, :], chain.ends[..., -1, :, :], chain.rotation[..., -1, :, :]
+    return Chain(x, y, length, c, arcs, before, ends, rotation)
+
+
 def _linear_columns(columns: Tensor, arm: Tensor, length: Tensor) -> Tensor:
     """(..., n, 3, 3) linear velocity of the tip for unit rates of each section's (dx, dy, dL).
 

@@ -25,7 +25,14 @@ from apcc_torch.experiments.paper_outcomes import Outcomes, held_out_rows, singl
 from apcc_torch.experiments.paper_table import LABELS, change_percent, flat_metrics, percent, table, text
 
 QUICK = '["controller.rate=20","plant.settle=0.1","plant.substeps=2"]'
-OVERRIDES = ["grid=small", "grid.duration=0.25", "figures=false", "progress=false", f"experiments.common={QUICK}"]
+OVERRIDES = [
+    "grid=small",
+    "~grid.comparisons.B",
+    "grid.duration=0.25",
+    "figures=false",
+    "progress=false",
+    f"experiments.common={QUICK}",
+]
 
 
 @pytest.fixture(scope="module")
