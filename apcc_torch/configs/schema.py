@@ -208,6 +208,7 @@ class BenchmarkConfig:
 
     grid: GridConfig = field(default_factory=GridConfig)
     experiments: OverridesConfig = field(default_factory=OverridesConfig)
+    workers: int = 2
     threads: int | None = 1
     figures: bool = True
     progress: bool = True

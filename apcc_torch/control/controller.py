@@ -155,15 +155,14 @@ class APCCController(nn.Module):
         later = ControllerState(q_bar, qdot_bar, pi_hat, q_d, qdot, filtered, measurement.time.expand_as(dt))
         return later, Command(qdot, q_d, y, e, inference.feedback)
 
-    @staticmethod
-    def _check(state: ControllerState, measurement: Measurement, target: Target) -> torch.Size:
+    def _check(self, state: ControllerState, measurement: Measurement, target: Target) -> torch.Size:
         """The leading shape of the step; raises where the arguments do not fit each other."""
         vectors = {"target.x_d": target.x_d, "target.xdot_d": target.xdot_d}
         if measurement.tip is not None:
             vectors["measurement.tip"] = measurement.tip
         for name, vector in vectors.items():
             check_tensor(name, vector, (3,))
-        check_tensor("measurement.T", measurement.T, (None, 4, 4))
+        check_tensor("measurement.T", measurement.T, (self.feedback.abscissae.shape[-1], 4, 4))
         check_tensor("measurement.time", measurement.time, ())
         check_same(**{"state.q_bar": state.q_bar, "measurement.T": measurement.T, **vectors})
         leading = {name: (vector, 1) for name, vector in vectors.items()}

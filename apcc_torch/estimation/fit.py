@@ -50,7 +50,7 @@ class Fit(NamedTuple):
 
     def errors(self) -> tuple[Tensor, Tensor]:
         """Norms (..., k) of the angular (rad) and linear (m) parts."""
-        angular, linear = self.twist.unflatten(-1, (2, 3)).norm(dim=-1).unbind(-1)
+        angular, linear = torch.linalg.vector_norm(self.twist.unflatten(-1, (2, 3)), dim=-1).unbind(-1)
         return angular, linear
 
 

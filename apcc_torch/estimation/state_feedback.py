@@ -9,9 +9,9 @@ import torch
 from torch import Tensor, nn
 
 from apcc_torch.errors import DtypeError, ShapeError, ValueRangeError
-from apcc_torch.estimation.fit import Fit, Problem, evaluate, select
-from apcc_torch.estimation.step import Residual, hierarchical_step, least_squares_step, row_weights
-from apcc_torch.lie import se3
+from apcc_torch.estimation.fit import Problem
+from apcc_torch.estimation.iteration import Rules, iterate
+from apcc_torch.estimation.step import Residual, damped_step, row_weights
 from apcc_torch.model.abscissae import located
 from apcc_torch.model.backbone import MaterialPoints, PCCBackbone
 from apcc_torch.model.chain import Chain, body_jacobian, last_chain
@@ -62,23 +62,6 @@ class Inference(NamedTuple):
     feedback: Feedback
     pi_hat: Tensor
     problem: Problem
-
-
-class _Scored(NamedTuple):
-    """A fit and how good it is."""
-
-    fit: Fit
-    cost: Tensor  # (...) m^2
-    position_cost: Tensor  # (...) m^2
-    within: Tensor  # (...) bool, both thresholds are met
-
-
-class _Step(NamedTuple):
-    """A step and what it promises."""
-
-    step: Tensor  # (..., n)
-    twist: Tensor  # (..., k, 6) after the step, to first order
-    negligible: Tensor  # (...) bool
 
 
 class StateFeedback(nn.Module):
@@ -185,6 +168,15 @@ class StateFeedback(nn.Module):
         Raises:
             ShapeError, DtypeError: The arguments do not fit each other.
         """
+        k = self.abscissae.shape[-1]
+        self.backbone.check(q_seed, pi_hat)
+        check_tensor("T", T, (k, 4, 4))
+        check_same(q_seed=q_seed, T=T)
+        leading = {"q_seed": (q_seed, 1), "pi_hat": (pi_hat, 1), "T": (T, 3)}
+        for name, given in {"mask": mask, "angular_mask": angular_mask}.items():
+            if given is not None:
+                leading[name] = (_check_mask(name, given, k), 1)
+        batch_shape(**leading)
         return self.infer(q_seed, pi_hat, T, mask, angular_mask).feedback
 
     def infer(
@@ -195,39 +187,31 @@ class StateFeedback(nn.Module):
         mask: Tensor | None = None,
         angular_mask: Tensor | None = None,
     ) -> Inference:
-        """`forward`, with what it knows at its end; arguments and errors as there."""
-        k = self.abscissae.shape[-1]
-        self.backbone.check(q_seed, pi_hat)
-        check_tensor("T", T, (k, 4, 4))
-        check_same(q_seed=q_seed, T=T)
+        """`forward`, with what it knows at its end; only the masks are checked here."""
         usable, oriented = self.used(T, mask, angular_mask)
-        batch = batch_shape(q_seed=(q_seed, 1), pi_hat=(pi_hat, 1), sensors=(oriented, 1))
-        usable, oriented = usable.expand(*batch, k), oriented.expand(*batch, k)
-        pi_hat = pi_hat.expand(*batch, pi_hat.shape[-1])
+        shapes = {q_seed.shape[:-1], pi_hat.shape[:-1], oriented.shape[:-1]}
+        batch = shapes.pop() if len(shapes) == 1 else torch.broadcast_shapes(*shapes)
+        usable, oriented, pi_hat, q_seed = (v.expand(*batch, v.shape[-1]) for v in (usable, oriented, pi_hat, q_seed))
         # What is left out is measured where the model has it: it pulls nowhere, and nothing non-finite enters.
         T = torch.where(usable[..., None, None], T, 0.0)
         problem = Problem(
             T[..., :3, :3],
             T[..., :3, 3],
-            self.backbone.material_points(pi_hat, *located(self._abscissae(pi_hat).expand(*batch, k), pi_hat)),
+            self.backbone.material_points(pi_hat, *located(self._abscissae(pi_hat).expand_as(usable), pi_hat)),
             usable,
             oriented,
             self._weights(usable, oriented, pi_hat.dtype),
         )
-        return Inference(self._iterate(q_seed.expand(*batch, q_seed.shape[-1]), problem), pi_hat, problem)
+        return Inference(self._infer(q_seed, problem), pi_hat, problem)
 
     def used(self, T: Tensor, mask: Tensor | None = None, angular_mask: Tensor | None = None) -> tuple[Tensor, Tensor]:
         """Which sensors, and which orientations, count: two bool (..., k). Arguments as `forward`."""
-        k = self.abscissae.shape[-1]
         usable = torch.isfinite(T).flatten(-2).all(-1)
-        given = {"T": (usable, 1)}
-        for name, chosen in {"mask": mask, "angular_mask": angular_mask}.items():
-            if chosen is not None:
-                given[name] = (_check_mask(name, chosen, k), 1)
-        if len(given) > 1:
-            batch_shape(**given)
-        usable = usable if mask is None else usable & mask
-        return usable, usable if angular_mask is None else usable & angular_mask
+        if mask is not None:
+            usable = usable & _check_mask("mask", mask, usable.shape[-1])
+        if angular_mask is None:
+            return usable, usable
+        return usable, usable & _check_mask("angular_mask", angular_mask, usable.shape[-1])
 
     def _abscissae(self, like: Tensor) -> Tensor:
         return self.abscissae.to(dtype=like.dtype, device=like.device)
@@ -237,88 +221,25 @@ class StateFeedback(nn.Module):
             oriented = torch.zeros_like(oriented)
         return row_weights(oriented * (self.angular_weight if self.mode == "pose" else 1.0), usable, dtype)
 
-    def _score(self, fit: Fit) -> _Scored:
-        angular, linear = fit.squares()
-        cost = torch.add(linear, angular, alpha=self.angular_weight**2).sum(-1)
-        position_cost = linear.sum(-1) if self.mode == "hierarchical" else cost
-        inside = (linear < self.linear_threshold**2) & (angular < self.angular_threshold**2)
-        return _Scored(fit, cost, position_cost, inside.all(-1))
+    def _rules(self) -> Rules:
+        return Rules(
+            self.mode,
+            self.angular_weight,
+            self.max_iterations,
+            self.min_iterations,
+            self.linear_threshold,
+            self.angular_threshold,
+            self.bend_step,
+            self.length_step,
+            self.damping,
+            self.settled_step,
+        )
 
-    def _solve(self, residual: Residual, damping: Tensor) -> Tensor:
-        return (hierarchical_step if self.mode == "hierarchical" else least_squares_step)(residual, damping)
-
-    def _step(self, fit: Fit, weights: Tensor, damping: Tensor, limits: Tensor) -> _Step:
-        body = fit.body
-        if self.mode == "pose":
-            # log(exp(-d) exp(V)) = V - J_l^-1(V) d: with J_b alone, right at V = 0, a step near the best fit of sensors
-            # that do not fit is no descent, and the estimate would stop short by up to a milliradian.
-            body = se3.left_jacobian_inverse_times(fit.twist, fit.k, body)
-        twist = fit.twist.unsqueeze(-1)
-        step = self._solve(Residual(twist, body, weights), damping)
-        size = step.abs()
-        step = step / (size / limits).amax((-1, -2), keepdim=True).clamp(min=1.0)
-        after = torch.where(weights > 0.0, twist - body @ step.unsqueeze(-3), 0.0)
-        return _Step(step.squeeze(-1), after.squeeze(-1), size.amax((-1, -2)) < self.settled_step)
-
-    def _better(self, trial: _Scored, best: _Scored) -> Tensor:
-        if self.mode != "hierarchical":
-            return trial.cost < best.cost
-        # A lower position cost wins; one as good to 0.1 % (or 1 % of the threshold) lets orientation win.
-        slack = 1e-3 * best.position_cost + (0.01 * self.linear_threshold) ** 2
-        as_good = trial.position_cost <= best.position_cost + slack
-        return (trial.position_cost < best.position_cost - slack) | (as_good & (trial.cost < best.cost))
-
-    def _chosen(self, take: Tensor, trial: _Scored, best: _Scored) -> _Scored:
-        cost = torch.where(take, trial.cost, best.cost)
-        position_cost = cost
-        if self.mode == "hierarchical":
-            position_cost = torch.where(take, trial.position_cost, best.position_cost)
-        within = torch.where(take, trial.within, best.within)
-        return _Scored(select(take, trial.fit, best.fit), cost, position_cost, within)
-
-    def _iterate(self, q_seed: Tensor, problem: Problem) -> Feedback:
-        best = self._score(evaluate(self.backbone, self.mode, q_seed, problem))
-        valid = problem.usable.any(-1) & torch.isfinite(best.cost)
-        # Below this the damped normal matrix, of order one, is singular to rounding where sensors leave freedom.
-        floor = 32.0 * torch.finfo(best.cost.dtype).eps
-        damping = torch.full_like(best.cost, max(self.damping, floor))
-        limits = self._limits(q_seed)
-        done = ~valid
-        if self.min_iterations == 0:
-            done = done | best.within
-        settled = torch.zeros_like(done)
-        iterations = torch.zeros_like(done, dtype=torch.int64)
-        for k in range(self.max_iterations):
-            # Leaving early reads a value, so a traced or compiled step runs all iterations with frozen rows instead.
-            if not torch.compiler.is_compiling() and bool(done.all()):
-                break
-            live, last = ~done, k + 1 >= self.min_iterations
-            step = self._step(best.fit, problem.weights, damping, limits)
-            negligible = step.negligible & live
-            # A negligible step that is a row's last is taken on trust, and what it leaves is what it promises: only
-            # the pose's twist, whose derivative is exact, keeps that promise to second order.
-            trusted = negligible if last and self.mode == "pose" else torch.zeros_like(live)
-            trial = Fit(best.fit.q + step.step, step.twist, best.fit.k, best.fit.body)
-            if torch.compiler.is_compiling() or not bool((done | trusted).all()):
-                fit = evaluate(self.backbone, self.mode, trial.q, problem)
-                trial = fit._replace(twist=torch.where(trusted[..., None, None], step.twist, fit.twist))
-            scored = self._score(trial)
-            take = (self._better(scored, best) | trusted) & live
-            iterations = iterations + live
-            settled = settled | negligible
-            best = self._chosen(take, scored, best)
-            damping = torch.where(take, 0.1 * damping, 10.0 * damping).clamp(min=floor)
-            if last:
-                done = done | settled | best.within
-        status = torch.where(best.within, FeedbackStatus.CONVERGED, FeedbackStatus.ITERATION_LIMIT)
-        status = torch.where(settled & ~best.within, FeedbackStatus.SETTLED, status)
-        status = torch.where(valid, status, FeedbackStatus.INVALID)
-        return Feedback(best.fit.q, *best.fit.errors(), iterations, status)
-
-    def _limits(self, like: Tensor) -> Tensor:
-        """(n, 1) largest change of each configuration variable in one step."""
-        bend = torch.full((self.backbone.n_sections, 2), self.bend_step, dtype=like.dtype, device=like.device)
-        return torch.nn.functional.pad(bend, (0, 1), value=self.length_step).reshape(-1, 1)
+    def _infer(self, q_seed: Tensor, problem: Problem) -> Feedback:
+        fit, within, settled, valid, iterations = iterate(self.backbone, self._rules(), q_seed, problem)
+        status = torch.full_like(iterations, FeedbackStatus.ITERATION_LIMIT)
+        status = status.masked_fill(settled, FeedbackStatus.SETTLED).masked_fill(within, FeedbackStatus.CONVERGED)
+        return Feedback(fit.q, *fit.errors(), iterations, status.masked_fill(~valid, FeedbackStatus.INVALID))
 
     def sensitivity(
         self, q_bar: Tensor, pi_hat: Tensor, mask: Tensor | None = None, angular_mask: Tensor | None = None
@@ -359,7 +280,7 @@ class StateFeedback(nn.Module):
         q = q_bar.expand(*batch, q_bar.shape[-1])
         if q.dtype != torch.float64:
             return self.backbone.chain(q, pi_hat), self.sensitivity(q_bar, pi_hat, problem.usable, problem.oriented)
-        points = self.backbone.with_tip(problem.points, pi_hat)
+        points = problem.points.with_tip(pi_hat)
         chain = self.backbone.chain_to(q, points)
         body = body_jacobian(chain, points.fraction)[..., :-1, :, :]
         return last_chain(chain), self._followed(q_bar, pi_hat, problem.points, body, problem.weights)
@@ -367,7 +288,7 @@ class StateFeedback(nn.Module):
     def _followed(self, q: Tensor, pi: Tensor, points: MaterialPoints, body: Tensor, weights: Tensor) -> Tensor:
         moved = self.backbone.parameter_columns(q, pi, self._abscissae(pi), points, body)
         damping = torch.full((), 1e-10, dtype=body.dtype, device=body.device)
-        return -self._solve(Residual(moved, body, weights), damping)
+        return -damped_step(self.mode, Residual(moved, body, weights), damping)
 
 
 def _check_mask(name: str, mask: Tensor, k: int) -> Tensor:

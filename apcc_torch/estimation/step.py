@@ -64,4 +64,9 @@ def hierarchical_step(residual: Residual, damping: Tensor) -> Tensor:
     return first + N @ (free @ (r_w - J_w @ first))
 
 
+def damped_step(mode: str, residual: Residual, damping: Tensor) -> Tensor:
+    """The step (..., n, m) of a mode of `StateFeedback`: positions first in mode "hierarchical", else least squares."""
+    return (hierarchical_step if mode == "hierarchical" else least_squares_step)(residual, damping)
+
+
 _PARTS = (slice(0, 3), slice(3, 6))  # angular, linear

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import multiprocessing
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
+
+import torch
 
 from apcc_torch.configs.schema import BenchmarkConfig, GridConfig, SimulateConfig
 from apcc_torch.errors import ConfigError
@@ -67,23 +71,32 @@ def check_pair(run: str, pair: Pair) -> None:
         raise ConfigError(f"both controllers of {run} must drive the same plant")
 
 
-def simulate_all(pairs: Pairs, folder: Path, progress: bool) -> dict[str, Outcomes]:
+def simulate_all(pairs: Pairs, folder: Path, progress: bool, workers: int = 1) -> dict[str, Outcomes]:
     """Runs every grid, writes its thinned log, and adds the held-out twins and the single runs.
 
     Args:
         pairs: Settings.
         folder: The benchmark's; logs go to its data/.
         progress: Show bars.
+        workers: Processes that share the grids; with one, everything runs in this process.
 
     Raises:
         ConfigError, ValueRangeError: A setting has no meaning.
     """
     jobs = [(c, run, name) for c, runs in pairs.items() for run in runs for name in CONTROLLERS]
     whole: dict[str, dict[str, dict[str, Outcome]]] = {c: {run: {} for run in runs} for c, runs in pairs.items()}
+    tasks = [
+        (
+            replace(getattr(pairs[c][run], name), progress=progress and workers == 1),
+            name == "adaptive",
+            f"{run}, {name}",
+        )
+        for c, run, name in jobs
+    ]
+    found_all = _outcomes(tasks, workers)
     for index in progress_bar("benchmark, grids", progress)(range(len(jobs))):
         comparison, run, name = jobs[index]
-        config: SimulateConfig = getattr(pairs[comparison][run], name)
-        found = outcome(replace(config, progress=progress), name == "adaptive", f"{run}, {name}")
+        found = next(found_all)
         write_arrays(folder / "data" / f"{comparison}_{run}_{name}.npz", found.log._asdict())
         whole[comparison][run][name] = found
     results: dict[str, Outcomes] = {}
@@ -93,6 +106,17 @@ def simulate_all(pairs: Pairs, folder: Path, progress: bool) -> dict[str, Outcom
             extra |= parts(run, both, pairs[comparison][run].standard)
         results[comparison] = {**runs, **extra}
     return results
+
+
+def _outcomes(tasks: list[tuple[SimulateConfig, bool, str]], workers: int) -> Iterator[Outcome]:
+    """The outcome of each task, in order."""
+    if workers == 1:
+        yield from (outcome(*task) for task in tasks)
+        return
+    # Fresh processes: a forked one would inherit torch's threads in an unknown state.
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(workers, context, torch.set_num_threads, (torch.get_num_threads(),)) as pool:
+        yield from pool.map(outcome, *zip(*tasks, strict=True))
 
 
 def run(config: BenchmarkConfig, pairs: Pairs, folder: Path) -> str:
@@ -107,12 +131,14 @@ def run(config: BenchmarkConfig, pairs: Pairs, folder: Path) -> str:
         ConfigError, ValueRangeError: A setting has no meaning.
     """
     started = time.perf_counter()
+    if config.workers < 1:
+        raise ConfigError(f"workers must be at least 1, got {config.workers}")
     if not any(pairs.values()):
         raise ConfigError("grid.comparisons must name at least one run")
     for runs in pairs.values():
         for name, pair in runs.items():
             check_pair(name, pair)
-    results = simulate_all(pairs, folder, config.progress)
+    results = simulate_all(pairs, folder, config.progress, config.workers)
     if config.figures:
         for comparison, outcomes in results.items():
             save_paper_figures(outcomes, folder / "figures" / ("" if comparison == "A" else comparison))

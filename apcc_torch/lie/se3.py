@@ -66,7 +66,7 @@ def pose(rotation: Tensor, position: Tensor) -> Tensor:
 
 def _parts(matrix: Tensor) -> tuple[Tensor, Tensor]:
     """The blocks (..., 3, 3) and (..., 3) of the upper rows of a (..., 4, 4) matrix."""
-    rotation, column = matrix[..., :3, :].split((3, 1), dim=-1)
+    rotation, column = matrix[..., :3, :].split_with_sizes((3, 1), dim=-1)
     return rotation, column.squeeze(-1)
 
 
@@ -129,7 +129,7 @@ def left_jacobian_inverse_times(twist: Tensor, k: Tensor, columns: Tensor) -> Te
         k: (..., 1) of its `so3.half_log`.
         columns: (..., 6, n) twists side by side.
     """
-    h, g = (0.5 * twist).unsqueeze(-1).split(3, dim=-2)
+    h, g = (0.5 * twist).unsqueeze(-1).split_with_sizes((3, 3), dim=-2)
     k = k.unsqueeze(-1)
     squared = (h * h).sum(-2, keepdim=True)
     # 1 - 3 k vanishes as |h|^2 / 15 does; what rounding leaves of the quotient meets H^2, which vanishes too.

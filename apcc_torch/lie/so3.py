@@ -115,7 +115,7 @@ def half_log(rotation: Tensor) -> tuple[Tensor, Tensor]:
     Args:
         rotation: (..., 3, 3); its shape is not checked here.
     """
-    w, v = _quaternion(rotation).split((1, 3), dim=-1)
+    w, v = _quaternion(rotation).split_with_sizes((1, 3), dim=-1)
     n2 = (v * v).sum(-1, keepdim=True)
     small = n2 < _LOG_SERIES_BELOW
     # Clamped before and selected after: neither branch is ever evaluated where its derivative would be NaN.

@@ -37,6 +37,13 @@ class MaterialPoints(NamedTuple):
     length: Tensor
     section: Tensor
 
+    def with_tip(self, L0: Tensor) -> MaterialPoints:
+        """The points and after them the arm's tip, for rest lengths L0 (..., n_b) of the same leading shape."""
+        n_b = L0.shape[-1]
+        fraction = torch.nn.functional.pad(self.fraction, (0, 0, 0, 1), value=1.0)
+        section = torch.nn.functional.pad(self.section, (0, 1), value=n_b - 1)
+        return MaterialPoints(fraction, torch.cat((self.length, L0.unsqueeze(-2)), dim=-2), section)
+
 
 class PCCBackbone(nn.Module):
     """Kinematics of n_b extensible constant-curvature sections in series. Eqs. (1)-(12) [Dalenberg].
@@ -120,12 +127,6 @@ class PCCBackbone(nn.Module):
         """Points (..., k) as parts of the sections, all of one leading shape; unchecked. Arguments as `pose`."""
         fraction = section_fractions(X_tilde, j, self.n_sections)
         return MaterialPoints(fraction, L0.unsqueeze(-2) * fraction, j)
-
-    def with_tip(self, points: MaterialPoints, L0: Tensor) -> MaterialPoints:
-        """The points (..., k) and after them the arm's tip, for L0 (..., n_b) of the same leading shape; unchecked."""
-        fraction = torch.nn.functional.pad(points.fraction, (0, 0, 0, 1), value=1.0)
-        section = torch.nn.functional.pad(points.section, (0, 1), value=self.n_sections - 1)
-        return MaterialPoints(fraction, torch.cat((points.length, L0.unsqueeze(-2)), dim=-2), section)
 
     def tip(self, q: Tensor, L0: Tensor) -> Tensor:
         """Tip position x(q, pi), (..., 3) m, world frame. Eq. (3) [Dalenberg]."""

@@ -75,10 +75,10 @@ def flatten_columns(blocks: Tensor) -> Tensor:
 
 def last_chain(chain: Chain) -> Chain:
     """Of chains (..., k) to several points, the one to the last point."""
-    c = Stumpff(*(value[..., -1, :] for value in chain.c))
-    arcs = Arc(*(value[..., -1, :, :, :] for value in chain.arcs))
-    x, y, length = (value[..., -1, :] for value in (chain.x, chain.y, chain.length))
-    before, ends, rotation = chain.before[..., -1, :, :, :], chain.ends[..., -1, :, :], chain.rotation[..., -1, :, :]
+    c = Stumpff(*(value.select(-2, -1) for value in chain.c))
+    arcs = Arc(*(value.select(-4, -1) for value in chain.arcs))
+    x, y, length = (value.select(-2, -1) for value in chain[:3])
+    before, ends, rotation = chain.before.select(-4, -1), chain.ends.select(-3, -1), chain.rotation.select(-3, -1)
     return Chain(x, y, length, c, arcs, before, ends, rotation)
 
 
@@ -90,7 +90,7 @@ def _linear_columns(columns: Tensor, arm: Tensor, length: Tensor) -> Tensor:
         arm: (..., n, 3) from each arc's tip to the chain's, m, in the same axes.
         length: (..., n) m.
     """
-    spin, bend, chord = columns.split((2, 2, 1), dim=-1)
+    spin, bend, chord = columns.split_with_sizes((2, 2, 1), dim=-1)
     swing = torch.linalg.cross(spin, arm.unsqueeze(-1), dim=-2)
     return torch.cat((torch.addcmul(swing, length[..., None, None], bend), chord), dim=-1)
 

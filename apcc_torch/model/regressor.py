@@ -59,7 +59,8 @@ def jacobian_rate(chain: Chain, qdot: Sections) -> Tensor:
     """
     xdot, ydot, lengthdot = qdot
     rate = arc_rate(chain.x, chain.y, xdot, ydot, chain.c)
-    spin, reach = (chain.before @ chain.arcs.columns).split((2, 3), dim=-1)  # what turns; what moves: bend and chord
+    columns = chain.before @ chain.arcs.columns
+    spin, reach = columns.split_with_sizes((2, 3), dim=-1)  # what turns; what moves: bend and chord
     omega = _angular_velocity(spin, torch.stack((xdot, ydot), dim=-1)).unsqueeze(-1)
     turned = chain.before @ rate.columns
     spin_rate = torch.linalg.cross(omega, spin, dim=-2) + turned[..., :2]
@@ -67,7 +68,7 @@ def jacobian_rate(chain: Chain, qdot: Sections) -> Tensor:
 
     # The steps L u turn and stretch; what lies beyond section i moves with the later steps only.
     L, Ldot = chain.length[..., None, None], lengthdot[..., None, None]
-    bend_rate, step_rate = torch.addcmul(Ldot * reach, L, reach_rate).split((2, 1), dim=-1)
+    bend_rate, step_rate = torch.addcmul(Ldot * reach, L, reach_rate).split_with_sizes((2, 1), dim=-1)
     ends_rate = step_rate.cumsum(-3)
     arm = (chain.tip.unsqueeze(-2) - chain.ends).unsqueeze(-1)
     arm_rate = ends_rate[..., -1:, :, :] - ends_rate

@@ -326,6 +326,30 @@ def test_shapes_follow_the_largest_batch() -> None:
     torch.testing.assert_close(both.pi_hat[0], state.pi_hat)
 
 
+def test_one_arm_and_many_targets() -> None:
+    q, T, target = scene(4)
+    for regressor in ("partial", "estimator_aware"):
+        c = controller(regressor, velocity="commanded")
+        measurement = Measurement(T[0], stamp(0.01))
+        many, command = c(c.initial_state(q[0], PI_HAT), measurement, target)
+        assert command.qdot.shape == (4, 9) and many.pi_hat.shape == (4, 3)
+        for row in range(4):
+            one, _ = c(c.initial_state(q[0], PI_HAT), measurement, Target(target.x_d[row], target.xdot_d[row]))
+            torch.testing.assert_close(many.pi_hat[row], one.pi_hat, rtol=0, atol=1e-12)
+            torch.testing.assert_close(many.q_d[row], one.q_d, rtol=0, atol=1e-12)
+
+
+def test_a_step_compiles_whole() -> None:
+    q, T, target = scene(2)
+    c = controller(feedback={"max_iterations": 2})
+    inputs = (c.initial_state(q, PI_HAT), Measurement(T, stamp(0.01)), target)
+    with torch.no_grad():
+        have = torch.compile(c, fullgraph=True, backend="aot_eager")(*inputs)
+        want = c(*inputs)
+    for compiled, eager in zip(leaves(have), leaves(want), strict=True):
+        torch.testing.assert_close(compiled, eager, rtol=0, atol=1e-12)
+
+
 def test_refusals() -> None:
     with pytest.raises(ValueRangeError, match="velocity must be one of measured, commanded"):
         controller(velocity="filtered")

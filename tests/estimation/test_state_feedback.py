@@ -380,6 +380,23 @@ def test_sensitivity_of_masked_sensors() -> None:
 
 
 @pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("dtype", [torch.float64, torch.float32])
+def test_what_follows_an_inference_is_the_sensitivity_at_its_end(mode: str, dtype: torch.dtype) -> None:
+    q, seed = problems(5, seed=18)
+    estimator = feedback(mode, torch.tensor([0.1, 0.21, 0.4, 0.58], dtype=torch.float64))
+    T, mask = measured(estimator, q), torch.tensor([True, True, False, True])
+    inference = estimator.infer(seed.to(dtype), PI.to(dtype), T.to(dtype), mask)
+    for have, want in zip(inference.feedback, estimator(seed.to(dtype), PI.to(dtype), T.to(dtype), mask), strict=True):
+        assert torch.equal(have, want)
+    chain, have = estimator.followed(inference, torch.Size((2, 5)))
+    q_bar = inference.feedback.q_bar
+    assert have.dtype == dtype
+    torch.testing.assert_close(chain.tip, estimator.backbone.tip(q_bar, PI.to(dtype)).expand(2, 5, 3))
+    want = estimator.sensitivity(q_bar, PI.to(dtype), mask)
+    torch.testing.assert_close(*torch.broadcast_tensors(have, want), rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize("mode", MODES)
 def test_sensitivity_in_single_precision(mode: str) -> None:
     q = configurations((50,), 3, torch.float64, generator(17), bend=1.0)
     for sensors in ([0, 1, 2], [0, 2], [2]):  # few sensors leave directions unseen

@@ -178,6 +178,22 @@ def test_inverse_jacobian_is_the_derivative_of_log() -> None:
         torch.testing.assert_close(se3.left_jacobian_inverse(xi), turned, rtol=0, atol=1e-12)
 
 
+def inverse_times(xi: Tensor, columns: Tensor) -> Tensor:
+    return se3.left_jacobian_inverse_times(xi, so3.half_log(so3.exp(xi[..., :3]))[1], columns)
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-9, 1e-5, 0.01, 0.044, 0.046, 0.5, 2.0, 3.1])
+@pytest.mark.parametrize("dtype", FLOATS)
+def test_inverse_jacobian_times_columns(angle: float, dtype: torch.dtype) -> None:
+    rng = generator(9)
+    xi = torch.cat((angle * unit_vectors((20,), dtype, rng), normal((20, 3), dtype, rng)), dim=-1)
+    columns = normal((20, 6, 5), dtype, rng)
+    want = se3.left_jacobian_inverse(xi.double()) @ columns.double()
+    atol = 1e-13 if dtype == torch.float64 else 3e-5
+    torch.testing.assert_close(inverse_times(xi, columns).double(), want, rtol=0, atol=atol)
+    torch.testing.assert_close(inverse_times(xi[0], columns[0]), inverse_times(xi, columns)[0])
+
+
 @pytest.mark.parametrize(
     "op",
     [

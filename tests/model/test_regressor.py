@@ -59,6 +59,14 @@ def test_each_section_moves_what_lies_beyond_it(seed: int) -> None:
     assert float(Y[:, 3].norm()) > 0.0
 
 
+@given(seed=seeds, n=sections)
+def test_the_jacobians_rate_holds_the_regressor(seed: int, n: int) -> None:
+    # The tip moves with delta L as it does with L, whatever the lengths are.
+    backbone, q, qdot, L0 = moving_arm(seed, n)
+    rate = backbone.tip_jacobian_rate(q, qdot, L0)
+    torch.testing.assert_close(rate[:, 2::3], backbone.regressor(q, qdot)[0], rtol=0, atol=1e-12)
+
+
 def test_derivatives_at_the_straight_pose() -> None:
     backbone = PCCBackbone(3)
     qdot = normal((9,), torch.float64, generator(0))
