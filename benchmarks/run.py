@@ -126,6 +126,15 @@ class Stepping:
             "calls": float(len(samples)),
         }
 
+    def measure_estimator(self, budget: float) -> dict[str, float]:
+        """Times algorithm 2 alone, in the middle of the loop."""
+        for _ in range(20):
+            self.state, command = self.controller(self.state, self.prepare(), self.path(self.now()))
+            self.q = self.q + command.qdot / RATE
+            self.k += 1
+        seen, state = self.prepare(), self.state
+        return timed(lambda: self.controller.feedback(state.q_bar, state.pi_hat, seen.T), budget)
+
 
 def dynamics(n: int, dtype: torch.dtype) -> SoftArmDynamics:
     """The arm of section V-B with n sections."""
@@ -184,6 +193,7 @@ def main() -> None:
     parser.add_argument(
         "--scaling", action="store_true", help="also how cost grows with sections and batch, and memory"
     )
+    parser.add_argument("--full-grid", action="store_true", help="also run 180 rows of the closed loop for all 10 s")
     parser.add_argument(
         "--threads", type=int, default=1, help="torch threads for batches above 1 (default: %(default)s)"
     )
@@ -197,6 +207,11 @@ def main() -> None:
                 1 if batch == 1 else options.threads,
                 lambda batch=batch, dtype=dtype: Stepping(batch, dtype).measure(budget),
             )
+            jobs[f"estimator_{name}_batch_{batch}"] = (
+                batch,
+                1 if batch == 1 else options.threads,
+                lambda batch=batch, dtype=dtype: Stepping(batch, dtype).measure_estimator(budget),
+            )
     for batch in (1, 256, 4096):
         jobs[f"forward_dynamics_6_sections_batch_{batch}"] = (
             batch,
@@ -206,6 +221,8 @@ def main() -> None:
     jobs["plant_step_batch_60"] = (60, options.threads, lambda: plant_step(60, budget))
     jobs["closed_loop_second_30_rows"] = (30, options.threads, lambda: closed_loop(30, 1.0))
     jobs["closed_loop_second_180_rows"] = (180, options.threads, lambda: closed_loop(180, 1.0))
+    if options.full_grid:
+        jobs["closed_loop_10_s_180_rows"] = (180, options.threads, lambda: closed_loop(180, 10.0))
     if options.scaling:
         for n in (2, 4, 8, 16, 32):
             jobs[f"forward_dynamics_{n}_sections_batch_256"] = (
@@ -231,7 +248,7 @@ def main() -> None:
         "torch": torch.__version__,
         "python": platform.python_version(),
         "apcc_torch": apcc_torch.__version__,
-        "malloc_settings": "MALLOC_TRIM_THRESHOLD_" in os.environ,
+        "malloc_settings": {"MALLOC_TRIM_THRESHOLD_", "MALLOC_MMAP_THRESHOLD_"} <= os.environ.keys(),
         "load": os.getloadavg()[0],
     }
     write_json(options.out, results)

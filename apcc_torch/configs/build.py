@@ -18,6 +18,7 @@ from apcc_torch.estimation.savitzky_golay import SavitzkyGolay
 from apcc_torch.estimation.state_feedback import StateFeedback
 from apcc_torch.model.backbone import HANGING, PCCBackbone
 from apcc_torch.model.dynamics import SoftArmDynamics
+from apcc_torch.model.friction import TendonTransmission
 from apcc_torch.model.stiffness import scaled_stiffness
 from apcc_torch.model.tendons import TendonRouting, rack_routing
 from apcc_torch.simulation.dynamic import Plant
@@ -219,7 +220,11 @@ class Builder:
         """The true arm with its tendons and their PID loop, one row a payload."""
         p = self.config.plant
         pid = TendonPID(p.K_P, p.K_I, p.K_D, p.force_limit)
-        return Plant(self.dynamics(), self.routing(p.layout), pid, payload, p.tendon_damping)
+        routing = self.routing(p.layout)
+        transmission = None
+        if p.friction > 0 or p.slack:
+            transmission = TendonTransmission(routing, p.friction, p.slack)
+        return Plant(self.dynamics(), routing, pid, payload, p.tendon_damping, transmission)
 
     def pose_sensors(self) -> PoseSensors:
         """What stands between the true poses and the controller."""

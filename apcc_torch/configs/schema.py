@@ -40,6 +40,8 @@ class PlantConfig:
     K_D: float = 5.0
     force_limit: float | None = None
     tendon_damping: float = 200.0
+    friction: float = 0.0
+    slack: bool = False
     substeps: int = 2
     settle: float = 3.0
 

@@ -20,6 +20,7 @@ from apcc_torch.errors import ConfigError, ValueRangeError
 from apcc_torch.model.abscissae import decouple
 from apcc_torch.model.backbone import PCCBackbone
 from apcc_torch.model.dynamics import EquationOfMotion, SoftArmDynamics
+from apcc_torch.model.friction import TendonTransmission
 from apcc_torch.model.integrators import Actuation, ArmState, guard, semi_implicit_step
 from apcc_torch.model.tendons import TendonRouting
 from apcc_torch.simulation.sensors import PoseSensors
@@ -93,6 +94,7 @@ class Plant:
         pid: The loop on their lengths.
         payload: (R,) tip mass, kg.
         tendon_damping: Viscous friction of each tendon in its guides, N s/m.
+        transmission: Slack and dry friction between the motors and the arm; None: the arm feels the motors' forces.
         bound: Largest magnitude of a coordinate or its rate before a row counts as diverged.
 
     Raises:
@@ -106,6 +108,7 @@ class Plant:
         pid: TendonPID,
         payload: Tensor,
         tendon_damping: float = 0.0,
+        transmission: TendonTransmission | None = None,
         bound: float = 1e3,
     ) -> None:
         if not 0 <= tendon_damping < float("inf"):
@@ -116,6 +119,7 @@ class Plant:
         self.pid = pid
         self.payload = payload
         self.tendon_damping = tendon_damping
+        self.transmission = transmission
         self.bound = bound
         self.backbone = PCCBackbone(dynamics.n_sections, dynamics.base_rotation)
         self.B = routing.matrix(dynamics.lengths)
@@ -126,6 +130,10 @@ class Plant:
     def lengths(self, v: Tensor) -> Tensor:
         """B^T v: tendon length changes (..., n_a) of a configuration, or their rates of a velocity."""
         return (self.B.mT @ v.unsqueeze(-1)).squeeze(-1)
+
+    def _pull(self, u: Tensor) -> Tensor:
+        """B u: the generalized force (..., n) of forces (..., n_a)."""
+        return (self.B @ u.unsqueeze(-1)).squeeze(-1)
 
     def forces(self, state: ArmState, z: Tensor, reference: TendonReference) -> Tensor:
         """Forces u (..., n_a) of the tendon loop, N."""
@@ -159,8 +167,11 @@ class Plant:
         self, state: ArmState, z: Tensor, reference: TendonReference, dt: float, equation: EquationOfMotion | None
     ) -> tuple[ArmState, Tensor]:
         """One linearly implicit Euler step under the reference of its end."""
-        u = self.forces(state, z, reference) - self.tendon_damping * self.lengths(state.qdot)
-        tau = (self.B @ u.unsqueeze(-1)).squeeze(-1)
+        u, drag = self.forces(state, z, reference), self.tendon_damping * self.lengths(state.qdot)
+        if self.transmission is None:
+            tau = self._pull(u - drag)
+        else:
+            tau = self.transmission(u, state.q, state.qdot, self.dynamics.lengths) - self._pull(drag)
         actuation = Actuation(tau, self.actuation_stiffness, self.actuation_damping)
         later = semi_implicit_step(self.dynamics, state, actuation, dt, self.payload, equation=equation)
         return later, self.pid.integrate(z, self.lengths(later.q), reference.y_d, dt)

@@ -21,6 +21,7 @@ from apcc_torch.estimation.savitzky_golay import SavitzkyGolay
 from apcc_torch.estimation.state_feedback import StateFeedback
 from apcc_torch.model.backbone import PCCBackbone
 from apcc_torch.model.dynamics import SoftArmDynamics
+from apcc_torch.model.friction import TendonTransmission
 from apcc_torch.model.integrators import ArmState
 from apcc_torch.model.statics import equilibrium
 from apcc_torch.model.stiffness import scaled_stiffness
@@ -273,3 +274,30 @@ def test_bad_plants_and_controllers_are_refused() -> None:
         simulate_dynamic(
             plant(PAYLOADS), controller(tendons=False), PoseSensors(), SetPoint(TARGETS), PI, DynamicSettings()
         )
+
+
+def test_transmission_is_felt_by_the_arm() -> None:
+    """An ideal transmission changes nothing; slack drops pushes; dry friction is felt."""
+    payload = torch.zeros(1, dtype=D)
+
+    def moved(transmission: TendonTransmission | None, y: float) -> Tensor:
+        arm = Plant(dynamics(), routing(), TendonPID(), payload, 50.0, transmission)
+        zero = torch.zeros(1, 18, dtype=D)
+        z = torch.zeros(1, 9, dtype=D)
+        y_d = torch.zeros(1, 9, dtype=D)
+        y_d[0, 0] = y
+        state = ArmState(zero, zero)
+        for _ in range(20):
+            state, z = arm.step(state, z, ramp(y_d, y_d, 1.0, 0.01), 0.005)
+        return state.q
+
+    ideal = TendonTransmission(routing(), friction=0.0, slack=False)
+    torch.testing.assert_close(moved(ideal, -0.02), moved(None, -0.02), rtol=1e-12, atol=1e-15)
+    # Let out, a slack tendon leaves the arm to gravity and the other tendons, as if it had not been commanded at all.
+    loose = TendonTransmission(routing(), slack=True)
+    bend = moved(loose, 0.02)[..., 0].abs()
+    assert bend < 0.1 * moved(None, 0.02)[..., 0].abs()
+    rubbing = TendonTransmission(routing(), friction=1.0, slack=False)
+    held, free = moved(rubbing, -0.02)[..., 0], moved(None, -0.02)[..., 0]
+    # How the tension falls along the way is held by the tests of the transmission; here only that the arm feels it.
+    assert 1e-3 < (held / free - 1).abs() < 0.5
