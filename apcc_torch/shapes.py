@@ -31,11 +31,14 @@ def check_tensor(name: str, value: Tensor, trailing: Trailing) -> Tensor:
         raise DtypeError(f"{name} must be a torch tensor, got {type(value).__name__}")
     if not value.is_floating_point():
         raise DtypeError(f"{name} must be a floating-point tensor, got {value.dtype}")
-    k = len(trailing)
     shape = tuple(value.shape)
-    matches = len(shape) >= k and all(
-        want is None or have == want for have, want in zip(shape[len(shape) - k :], trailing, strict=True)
-    )
+    first = len(shape) - len(trailing)
+    # A plain loop: this check runs many times in every control step.
+    matches = first >= 0
+    for i, want in enumerate(trailing):
+        if not matches:
+            break
+        matches = want is None or want == shape[first + i]
     if not matches:
         raise ShapeError(f"{name} must have shape {_spelled(trailing)}, got {shape}")
     return value
@@ -97,8 +100,11 @@ def batch_shape(**leading: tuple[Tensor, int]) -> torch.Size:
         ShapeError: They do not broadcast; the message names every argument and its batch shape.
     """
     shapes = {name: tensor.shape[: tensor.dim() - k] for name, (tensor, k) in leading.items()}
+    first, *others = shapes.values()
+    if all(shape == first for shape in others):
+        return first
     try:
-        return torch.broadcast_shapes(*shapes.values())
+        return torch.broadcast_shapes(first, *others)
     except RuntimeError as error:
         listed = ", ".join(f"{name} {tuple(shape)}" for name, shape in shapes.items())
         raise ShapeError(f"leading dimensions do not broadcast: {listed}") from error
