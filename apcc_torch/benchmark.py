@@ -20,28 +20,15 @@ from omegaconf.errors import OmegaConfBaseException
 
 from apcc_torch.conf_path import conf_path
 from apcc_torch.configs.schema import BenchmarkConfig, PairConfig, SimulateConfig
+from apcc_torch.configs.typed import typed
 from apcc_torch.errors import ApccError, ConfigError
 from apcc_torch.experiments import paper
 from apcc_torch.files import write_atomically
-from apcc_torch.simulate import typed as experiment_of
 
 log = logging.getLogger("apcc_torch.benchmark")
 
 ConfigStore.instance().store(name="benchmark_schema", node=BenchmarkConfig)
-
-
-def typed(cfg: DictConfig) -> BenchmarkConfig:
-    """The settings as a dataclass.
-
-    Raises:
-        ConfigError: A value is missing or of the wrong type.
-    """
-    try:
-        config = OmegaConf.to_object(cfg)
-    except OmegaConfBaseException as error:
-        raise ConfigError(str(error).splitlines()[0]) from error
-    assert isinstance(config, BenchmarkConfig)  # what the schema makes of any composed configuration
-    return config
+ConfigStore.instance().store(name="simulate_schema", node=SimulateConfig)  # of the experiments it composes
 
 
 def experiment(name: str, overrides: list[str]) -> SimulateConfig:
@@ -51,7 +38,7 @@ def experiment(name: str, overrides: list[str]) -> SimulateConfig:
         ConfigError: There is no such experiment, key or choice, or a value has the wrong type.
     """
     try:
-        return experiment_of(compose("simulate", [f"experiment={name}", *overrides]))
+        return typed(compose("simulate", [f"experiment={name}", *overrides]), SimulateConfig)
     except (HydraException, OmegaConfBaseException) as error:
         changed = f" with {', '.join(overrides)}" if overrides else ""
         raise ConfigError(f"experiment {name}{changed}: {str(error).splitlines()[0]}") from error
@@ -86,7 +73,7 @@ def compose_pairs(config: BenchmarkConfig) -> paper.Pairs:
 
 def run(cfg: DictConfig, folder: Path) -> str:
     """Runs the benchmark into `folder` and returns its table as text."""
-    config = typed(cfg)
+    config = typed(cfg, BenchmarkConfig)
     if config.threads is not None:
         torch.set_num_threads(config.threads)
     pairs = compose_pairs(config)

@@ -12,12 +12,12 @@ import torch
 from hydra.core.config_store import ConfigStore
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
-from omegaconf.errors import OmegaConfBaseException
 
 from apcc_torch.conf_path import conf_path
 from apcc_torch.configs.build import choice
 from apcc_torch.configs.schema import SimulateConfig
-from apcc_torch.errors import ApccError, ConfigError
+from apcc_torch.configs.typed import typed
+from apcc_torch.errors import ApccError
 from apcc_torch.experiments import dynamic, kinematic, replay
 from apcc_torch.files import write_atomically
 
@@ -32,23 +32,9 @@ EXPERIMENTS: dict[str, Callable[[SimulateConfig, Path], dict[str, float]]] = {
 ConfigStore.instance().store(name="simulate_schema", node=SimulateConfig)
 
 
-def typed(cfg: DictConfig) -> SimulateConfig:
-    """The settings as a dataclass.
-
-    Raises:
-        ConfigError: A value is missing or of the wrong type.
-    """
-    try:
-        config = OmegaConf.to_object(cfg)
-    except OmegaConfBaseException as error:
-        raise ConfigError(str(error).splitlines()[0]) from error
-    assert isinstance(config, SimulateConfig)  # what the schema makes of any composed configuration
-    return config
-
-
 def run(cfg: DictConfig, folder: Path) -> dict[str, float]:
     """Runs the configured experiment into `folder` and returns its metrics."""
-    config = typed(cfg)
+    config = typed(cfg, SimulateConfig)
     if config.threads is not None:
         torch.set_num_threads(config.threads)
     kind = choice("experiment.kind", config.experiment.kind, tuple(EXPERIMENTS))

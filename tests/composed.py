@@ -5,11 +5,14 @@ from __future__ import annotations
 from functools import cache
 
 from hydra import compose, initialize_config_dir
+from hydra.core.config_store import ConfigStore
 from omegaconf import DictConfig, OmegaConf
 
 from apcc_torch.conf_path import conf_path
 from apcc_torch.configs.schema import SimulateConfig
-from apcc_torch.simulate import typed
+from apcc_torch.configs.typed import typed
+
+ConfigStore.instance().store(name="simulate_schema", node=SimulateConfig)
 
 
 def raw(*overrides: str) -> DictConfig:
@@ -20,7 +23,7 @@ def raw(*overrides: str) -> DictConfig:
 
 def composed(*overrides: str) -> SimulateConfig:
     """The settings as the experiments take them."""
-    return typed(raw(*overrides))
+    return typed(raw(*overrides), SimulateConfig)
 
 
 @cache
@@ -32,4 +35,4 @@ def changed(experiment: str, *changes: str) -> SimulateConfig:
     """`composed` of an experiment and changed keys, without choices of groups: much faster where many are tried."""
     cfg = OmegaConf.merge(_plain(experiment), OmegaConf.from_dotlist(list(changes)))
     assert isinstance(cfg, DictConfig)
-    return typed(cfg)
+    return typed(cfg, SimulateConfig)

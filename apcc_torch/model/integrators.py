@@ -171,8 +171,8 @@ def rosenbrock_step(
     """The two-stage Rosenbrock-W method ROS2, order 2 whatever the linearization leaves out; L-stable in what it holds.
 
     k1 = (I - g dt A)^-1 dt f(x),  k2 = (I - g dt A)^-1 (dt f(x + k1) - 2 k1),  x+ = x + 3/2 k1 + 1/2 k2, with
-    g = 1 - 1/sqrt(2) and A the elastic, damping and actuation part of df/dx at M(q) of the step's start. Where damping is
-    large and M(q) changes much within a step, two extrapolated `semi_implicit_step`s are the safer second order.
+    g = 1 - 1/sqrt(2) and A the elastic, damping and actuation part of df/dx at M(q) of the step's start. Where damping
+    is large and M(q) changes much within a step, extrapolated `semi_implicit_step`s are the safer second order.
 
     Args:
         dynamics: The arm.

@@ -12,10 +12,11 @@ from hydra import compose, initialize_config_dir
 from hypothesis import given
 from hypothesis import strategies as st
 
-from apcc_torch.benchmark import compose_pairs, experiment, typed
+from apcc_torch.benchmark import compose_pairs, experiment
 from apcc_torch.conf_path import conf_path
 from apcc_torch.configs.build import Builder
 from apcc_torch.configs.schema import BenchmarkConfig, GridConfig, SimulateConfig
+from apcc_torch.configs.typed import typed
 from apcc_torch.errors import ConfigError
 from apcc_torch.experiments.dynamic import simulate
 from apcc_torch.experiments.paper import Pair, check_pair, on_grid, run, simulate_all
@@ -38,7 +39,7 @@ OVERRIDES = [
 @pytest.fixture(scope="module")
 def config() -> BenchmarkConfig:
     with initialize_config_dir(conf_path(), version_base="1.3"):
-        return typed(compose("benchmark", OVERRIDES))
+        return typed(compose("benchmark", OVERRIDES), BenchmarkConfig)
 
 
 @pytest.fixture(scope="module")
