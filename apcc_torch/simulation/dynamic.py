@@ -244,7 +244,7 @@ def simulate_dynamic(
     sensor_state = sensors.initial_state(poses(q))
     state = _first_state(controller, poses(q), pi_hat, start)
     y_last = controller.routing.lengths(state.q_d, state.pi_hat)
-    rows = []
+    columns: list[list[Tensor]] = [[] for _ in DynamicLog._fields[:-1]]
     for k in progress(range(round(settings.duration * settings.control_rate) + 1)):
         time = start + k * period
         sensor_state, seen, mask = sensors(sensor_state, poses(now.arm.q), generator)
@@ -254,11 +254,15 @@ def simulate_dynamic(
         y = command.y
         assert y is not None  # the controller has a routing
         u = plant.forces(now.arm, now.z, ramp(y_last, y, 0.0, period))
-        rows.append(_row(time, target.x_d, plant, now.arm, pi_before, state, command, y_last, u))
+        row = _row(time, target.x_d, plant, now.arm, pi_before, state, command, y_last, u)
+        for column, value in zip(columns, row, strict=True):
+            column.append(value)
         for i in range(settings.substeps):
             now = plant.advance(now, ramp(y_last, y, (i + 1) / settings.substeps, period), dt, k)
         y_last = y
-    return DynamicLog(*[*(torch.stack(column) for column in zip(*rows, strict=True)), now.diverged_at])
+    # Column by column, each list let go once it is stacked: a large batch's log is never held twice.
+    stacked = [torch.stack(columns.pop(0)) for _ in range(len(columns))]
+    return DynamicLog(*[*stacked, now.diverged_at])
 
 
 def _first_state(controller: APCCController, T: Tensor, pi_hat: Tensor, time: Tensor) -> ControllerState:
