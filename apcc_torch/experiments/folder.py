@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import platform
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,8 +14,7 @@ from tqdm import tqdm
 
 import apcc_torch
 from apcc_torch.files import write_arrays, write_json
-
-Progress = Callable[[Iterable[int]], Iterable[int]]
+from apcc_torch.simulation.progress import Progress
 
 
 def progress_bar(label: str, shown: bool) -> Progress:

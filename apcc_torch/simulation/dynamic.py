@@ -6,7 +6,6 @@ control period; the tendon PID acts at the plant's rate, as a motor's own loop d
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -23,10 +22,9 @@ from apcc_torch.model.dynamics import EquationOfMotion, SoftArmDynamics
 from apcc_torch.model.friction import TendonTransmission
 from apcc_torch.model.integrators import Actuation, ArmState, guard, semi_implicit_step
 from apcc_torch.model.tendons import TendonRouting
+from apcc_torch.simulation.progress import Progress, quiet
 from apcc_torch.simulation.sensors import PoseSensors
 from apcc_torch.simulation.trajectory import Trajectory
-
-Progress = Callable[[Iterable[int]], Iterable[int]]
 
 
 @dataclass(frozen=True)
@@ -200,10 +198,6 @@ class Plant:
         return now
 
 
-def _quiet(steps: Iterable[int]) -> Iterable[int]:
-    return steps
-
-
 def simulate_dynamic(
     plant: Plant,
     controller: APCCController,
@@ -212,7 +206,7 @@ def simulate_dynamic(
     pi_hat: Tensor,
     settings: DynamicSettings,
     generator: torch.Generator | None = None,
-    progress: Progress = _quiet,
+    progress: Progress = quiet,
 ) -> DynamicLog:
     """Runs the closed loop for all rows at once.
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
 from typing import NamedTuple
 
 import torch
@@ -14,9 +13,8 @@ from apcc_torch.errors import ValueRangeError
 from apcc_torch.linalg import damped_pseudo_inverse
 from apcc_torch.model.abscissae import decouple
 from apcc_torch.model.backbone import PCCBackbone
+from apcc_torch.simulation.progress import Progress, quiet
 from apcc_torch.simulation.trajectory import Trajectory
-
-Progress = Callable[[Iterable[int]], Iterable[int]]
 
 
 class KinematicLog(NamedTuple):
@@ -40,10 +38,6 @@ class KinematicLog(NamedTuple):
     angular_error: Tensor
     linear_error: Tensor
     status: Tensor
-
-
-def _quiet(steps: Iterable[int]) -> Iterable[int]:
-    return steps
 
 
 def start_configuration(
@@ -81,7 +75,7 @@ def simulate_exact(
     trajectory: Trajectory,
     duration: float,
     rate: float,
-    progress: Progress = _quiet,
+    progress: Progress = quiet,
 ) -> KinematicLog:
     """The proof's case: q is known, so the loop is the differential equation of Eqs. (13)-(15); RK4 at `rate`.
 
@@ -134,7 +128,7 @@ def simulate_feedback(
     trajectory: Trajectory,
     duration: float,
     rate: float,
-    progress: Progress = _quiet,
+    progress: Progress = quiet,
 ) -> KinematicLog:
     """Section V-A whole: sensors on the true arm, algorithm 2 and the law in the loop. Fig. 6 [Dalenberg].
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
 from typing import NamedTuple
 
 import torch
@@ -17,6 +16,7 @@ from apcc_torch.lie import se3
 from apcc_torch.model.backbone import PCCBackbone
 from apcc_torch.simulation.calibration import Calibration
 from apcc_torch.simulation.gating import GateVerdict, SensorGate
+from apcc_torch.simulation.progress import Progress, quiet
 from apcc_torch.simulation.recorded_arm import gate_frames
 from apcc_torch.simulation.recording import Recording
 from apcc_torch.simulation.replay_log import ReplayLog, SensorErrors, sensor_errors
@@ -26,7 +26,6 @@ _SETTINGS = (
     *("bend_step", "length_step", "damping", "settled_step"),
 )
 _BLOCK = 100  # frames a sweep
-Progress = Callable[[Iterable[int]], Iterable[int]]
 
 
 class _Frames(NamedTuple):
@@ -35,10 +34,6 @@ class _Frames(NamedTuple):
     time: Tensor  # (N,)
     T: Tensor  # (N, k, 4, 4), world frame, finite
     verdict: GateVerdict
-
-
-def _quiet(steps: Iterable[int]) -> Iterable[int]:
-    return steps
 
 
 def _frames(
@@ -85,7 +80,7 @@ def replay(
     velocity_filter: SavitzkyGolay | None = None,
     frames: slice = slice(None),
     parallel: bool = False,
-    progress: Progress = _quiet,
+    progress: Progress = quiet,
 ) -> ReplayLog:
     """Runs the estimator, or the whole controller, over a recording; each frame is seeded by the one before it.
 
@@ -246,7 +241,7 @@ def held_out_error(
     feedback: StateFeedback,
     gate: SensorGate,
     frames: slice = slice(None),
-    progress: Progress = _quiet,
+    progress: Progress = quiet,
 ) -> SensorErrors:
     """How well a sensor is predicted by a fit that never sees it: an independent check of the model's shape.
 
