@@ -25,3 +25,19 @@ class ConfigError(ApccError, ValueError):
 
 class DataError(ApccError, ValueError):
     """A recording or a run folder is missing, truncated or not in the documented layout."""
+
+
+class HardwareError(ApccError, RuntimeError):
+    """A device is missing, is not the one configured, does not answer, or reports a fault."""
+
+
+class CommunicationError(HardwareError):
+    """A packet was lost, late, short or corrupt, or the connection is gone."""
+
+
+class DeviceFaultError(HardwareError):
+    """The device answers, and says that it has failed: overload, heat, a tripped watchdog."""
+
+
+class SafetyError(HardwareError):
+    """A guard of the runner was violated: it stops rather than going on."""

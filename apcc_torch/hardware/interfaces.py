@@ -1,0 +1,130 @@
+"""What the runner needs of motors and of a motion-capture system: SI units, monotonic stamps, one vocabulary.
+
+Tendon length changes follow y = B^T q: negative where a tendon is pulled in, zero at the calibrated zero of the hanging
+arm. Stamps are `time.monotonic()` seconds.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from types import TracebackType
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class TendonReading:
+    """One reading of all tendons.
+
+    stamp: s, monotonic, when the values were sampled.
+    y: (n_a,) m, length change; ydot: (n_a,) m/s; effort: (n_a,) N, tension estimated by the device (its current), or
+    zeros where the device does not tell. raw: the device's own integers or registers, for the log.
+    """
+
+    stamp: float
+    y: Array
+    ydot: Array
+    effort: Array
+    raw: dict[str, list[int]]
+
+
+class TendonActuator(ABC):
+    """Motors that set tendon lengths. `with` connects, and on every exit leaves the motors without torque.
+
+    The order is connect, (calibrate,) arm, then read and send; `hold` and `torque_off` end it. Every method raises a
+    `HardwareError` subclass that says what is wrong and with which motor.
+    """
+
+    n_tendons: int
+
+    @abstractmethod
+    def connect(self) -> None:
+        """Opens the device and checks that it is the one configured; torque stays off."""
+
+    @abstractmethod
+    def calibrate(self) -> dict[str, object]:
+        """Takes the present lengths as zero; returns what was found, as plain values for a file."""
+
+    @abstractmethod
+    def arm(self) -> None:
+        """Torque on, with every goal at the present length: nothing moves."""
+
+    @abstractmethod
+    def read(self) -> TendonReading:
+        """The tendons as they are now."""
+
+    @abstractmethod
+    def send(self, y: Array) -> Array:
+        """Commands length changes (n_a,), m; returns what was really sent, after the device's own limits and ticks."""
+
+    @abstractmethod
+    def hold(self) -> None:
+        """Keeps the present lengths under torque: the arm stays where it is."""
+
+    @abstractmethod
+    def torque_off(self) -> None:
+        """Lets go: the arm drops. Safe to call in any state, twice, and on a broken connection."""
+
+    @abstractmethod
+    def disconnect(self) -> None:
+        """Torque off, then closes the device. Safe to call in any state."""
+
+    def __enter__(self) -> Self:
+        self.connect()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.disconnect()
+
+
+@dataclass(frozen=True)
+class PoseSample:
+    """One frame of the sensors.
+
+    stamp: s, monotonic, when the frame was measured as well as it is known. sequence: The source's frame number.
+    T: (k, 4, 4) poses in the arm's base frame, m, in the order of the configured bodies; NaN where not valid.
+    valid: (k,) whether the body was tracked, finite, and of a proper rotation.
+    """
+
+    stamp: float
+    sequence: int
+    T: Array
+    valid: NDArray[np.bool_]
+
+
+class PoseSensor(ABC):
+    """A source of poses that keeps only its latest sample. `with` connects and disconnects."""
+
+    n_bodies: int
+
+    @abstractmethod
+    def connect(self) -> None:
+        """Opens the source; samples arrive from now on."""
+
+    @abstractmethod
+    def latest(self) -> PoseSample | None:
+        """The newest sample, None before the first; never waits. Raises a `HardwareError` if the source has ended."""
+
+    @abstractmethod
+    def wait(self, timeout: float, after: int | None = None) -> PoseSample | None:
+        """The first sample newer than frame `after`, or None after `timeout` s."""
+
+    @abstractmethod
+    def disconnect(self) -> None:
+        """Closes the source. Safe to call in any state."""
+
+    def __enter__(self) -> Self:
+        self.connect()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.disconnect()
