@@ -83,7 +83,10 @@ class AdaptiveLaw(nn.Module):
         self.rate = rate
         self.normalisation = normalisation
         self.dead_zone = dead_zone
-        self.register_buffer("reach", None if reach is None else _cumulative_reach(reach, n_sections))
+        ends = None if reach is None else _cumulative_reach(reach, n_sections)
+        self.register_buffer("reach", ends)
+        # How many sections each wanted end lies behind; one that is zero asks for nothing.
+        self._reaching = [] if ends is None else [i + 1 for i, end in enumerate(ends.tolist()) if end > 0]
 
     def velocity(self, Y: Tensor, e: Tensor) -> Tensor:
         """pi_hat_dot (..., n_b), m/s, before projection. Eq. (15) [Dalenberg].
@@ -129,11 +132,10 @@ class AdaptiveLaw(nn.Module):
             # Half-space by half-space, the projection in the norm of Gamma^-1, in which V of Eq. (18) measures: it
             # brings pi_hat nearer to every pi that reaches as far, so the proof's V still falls.
             gamma, reach = self.gamma.to(pi_hat), self.reach.to(pi_hat)
-            for i in range(1, pi_hat.shape[-1] + 1):
+            for i in self._reaching:
                 toward = gamma[..., :i].sum(-1)
                 short = (reach[i - 1] - pi_hat[..., :i].sum(-1, keepdim=True)).clamp(min=0.0)
-                missing = torch.where(reach[i - 1] > 0, short, 0.0)
-                pi_hat = pi_hat + missing * toward / toward[..., :i].sum(-1, keepdim=True)
+                pi_hat = pi_hat + short * toward / toward[..., :i].sum(-1, keepdim=True)
         return pi_hat
 
 

@@ -17,7 +17,7 @@ from math import pi
 import torch
 from torch import Tensor
 
-from apcc_torch.lie.stumpff import stumpff
+from apcc_torch.lie.stumpff import known, stumpff
 from apcc_torch.shapes import check_tensor
 
 # `log` uses its power series where |v|^2 = (4 sin(D / 2) cos(D / 2))^2 is below this, D < 0.045 rad: four terms leave
@@ -48,8 +48,7 @@ def vee(matrix: Tensor) -> Tensor:
     Raises:
         ShapeError: matrix does not end in (3, 3).
     """
-    _, m01, m02, m10, _, m12, m20, m21, _ = check_tensor("matrix", matrix, (3, 3)).flatten(-2).unbind(-1)
-    return 0.5 * torch.stack((m21 - m12, m02 - m20, m10 - m01), dim=-1)
+    return 0.5 * _twice_vee(check_tensor("matrix", matrix, (3, 3)))
 
 
 def squared_angle(w: Tensor) -> Tensor:
@@ -115,37 +114,54 @@ def half_log(rotation: Tensor) -> tuple[Tensor, Tensor]:
     Args:
         rotation: (..., 3, 3); its shape is not checked here.
     """
-    w, v = _quaternion(rotation).split_with_sizes((1, 3), dim=-1)
-    n2 = (v * v).sum(-1, keepdim=True)
-    small = n2 < _LOG_SERIES_BELOW
-    # Clamped before and selected after: neither branch is ever evaluated where its derivative would be NaN.
-    n2_large = n2.clamp(min=_LOG_SERIES_BELOW)
-    n = torch.sqrt(n2_large)
-    angle = torch.atan2(n, w)
-    factor_large = torch.where(w < 0.0, angle - pi, angle) / n  # |h| / |v|, the short way round
-    rest_large = torch.rsub(factor_large * w, 1.0) / n2_large  # (1 - |h| cot|h|) / |v|^2
+    v, trace = _twice_vee(rotation), rotation.diagonal(dim1=-2, dim2=-1).sum(-1, keepdim=True)
+    w, n2 = 1.0 + trace, _squared(v)
+    # Below 90 degrees (w, v) is itself the row that is wanted; small turns, the usual ones, need nothing more.
+    plain = trace > 0.0
+    all_small = known(plain & (n2 < _LOG_SERIES_BELOW))
+    if not all_small:
+        row_w, row_v = _quaternion(rotation, v, trace).split_with_sizes((1, 3), dim=-1)
+        w, v = torch.where(plain, w, row_w), torch.where(plain, v, row_v)
+        n2 = _squared(v)
 
     # With q = tan^2|h|: |h| cot|h| = atan(sqrt(q)) / sqrt(q) = 1 - q (1/3 - q/5 + q^2/7 - q^3/9 + ...).
     inverse = w.clamp(min=1.0).reciprocal()  # w is nearly 4 where the series is used
     inverse2 = inverse * inverse
-    q = n2.clamp(max=_LOG_SERIES_BELOW) * inverse2
+    q = (n2 if all_small else n2.clamp(max=_LOG_SERIES_BELOW)) * inverse2
     series = torch.addcmul(torch.rsub(q, 1 / 3, alpha=1 / 5), q * q, torch.rsub(q, 1 / 7, alpha=1 / 9))
-    factor_small = torch.addcmul(inverse, inverse * q, series, value=-1.0)
-
-    factor = torch.where(small, factor_small, factor_large)
-    rest = torch.where(small, series * inverse2, rest_large)
+    factor = torch.addcmul(inverse, inverse * q, series, value=-1.0)
+    rest = series * inverse2
+    if not all_small:
+        small = n2 < _LOG_SERIES_BELOW
+        # Clamped before and selected after: neither branch is ever evaluated where its derivative would be NaN.
+        n2_large = n2.clamp(min=_LOG_SERIES_BELOW)
+        n = torch.sqrt(n2_large)
+        angle = torch.atan2(n, w)
+        factor_large = torch.where(w < 0.0, angle - pi, angle) / n  # |h| / |v|, the short way round
+        rest_large = torch.rsub(factor_large * w, 1.0) / n2_large  # (1 - |h| cot|h|) / |v|^2
+        factor, rest = torch.where(small, factor, factor_large), torch.where(small, rest, rest_large)
     return factor * v, rest / (factor * factor)
 
 
-def _quaternion(rotation: Tensor) -> Tensor:
+def _squared(v: Tensor) -> Tensor:
+    """|v|^2 (..., 1)."""
+    return (v * v).sum(-1, keepdim=True)
+
+
+def _twice_vee(rotation: Tensor) -> Tensor:
+    """R - R^T as a vector (..., 3), twice its `vee`."""
+    _, m01, m02, m10, _, m12, m20, m21, _ = rotation.flatten(-2).unbind(-1)
+    return torch.stack((m21 - m12, m02 - m20, m10 - m01), dim=-1)
+
+
+def _quaternion(rotation: Tensor, v: Tensor, trace: Tensor) -> Tensor:
     """A multiple (..., 4) of the unit quaternion q = (w, x, y, z) of a rotation R of trace t.
 
     4 q q^T = [[1 + t, v^T], [v, R + R^T + (1 - t) I]] with v twice the `vee` of R. Its row with the largest diagonal
     entry is returned; that entry is at least 1, so no small number is ever divided by.
     """
     eye = torch.eye(3, dtype=rotation.dtype, device=rotation.device)
-    v = torch.linalg.cross(rotation, eye.expand_as(rotation)).sum(-2)
-    trace = rotation.diagonal(dim1=-2, dim2=-1).sum(-1)[..., None, None]
+    trace = trace.unsqueeze(-1)
     block = torch.addcmul(rotation + rotation.mT, eye, torch.rsub(trace, 1.0))
     first = torch.cat((1.0 + trace, v.unsqueeze(-2)), dim=-1)
     rows = torch.cat((first, torch.cat((v.unsqueeze(-1), block), dim=-1)), dim=-2)

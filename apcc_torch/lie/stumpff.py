@@ -40,6 +40,20 @@ def _series(m: int, x: Tensor, one: Tensor) -> Tensor:
     return value
 
 
+def known(condition: Tensor) -> bool:
+    """Whether `condition` holds everywhere, as far as it may be asked: what a shortcut past unused branches needs.
+
+    False where the answer costs more than the shortcut saves (on an accelerator it would wait for the queue), or is not
+    to be had: a traced or vectorised tensor has no value to read. A shortcut gives the same bits as the long way.
+    """
+    if torch.compiler.is_compiling() or condition.device.type != "cpu":
+        return False
+    try:
+        return bool(condition.all())
+    except RuntimeError:  # vmap, fake and meta tensors say so by raising this
+        return False
+
+
 def stumpff(x: Tensor) -> Stumpff:
     """Evaluates c_0 ... c_6 with full precision for every x >= 0, differentiable to any order.
 
@@ -47,8 +61,9 @@ def stumpff(x: Tensor) -> Stumpff:
         x: (...) squared angle, rad^2, not negative.
     """
     small = x < _SERIES_BELOW
+    all_small = known(small)
     # Clamped before and selected after: neither branch is ever evaluated where its derivative would be NaN.
-    low, high = x.clamp(max=_SERIES_BELOW), x.clamp(min=_SERIES_BELOW)
+    low = x if all_small else x.clamp(max=_SERIES_BELOW)
     one = torch.ones_like(x)
     half, sixth, twentyfourth = (torch.full_like(x, 1.0 / factorial(m)) for m in (2, 3, 4))
 
@@ -59,8 +74,12 @@ def stumpff(x: Tensor) -> Stumpff:
     s2 = torch.addcmul(half, low, s4, value=-1.0)
     s1 = torch.addcmul(one, low, s3, value=-1.0)
     s0 = torch.addcmul(one, low, s2, value=-1.0)
+    series = Stumpff(s0, s1, s2, s3, s4, p5 / factorial(5), p6 / factorial(6))
+    if all_small:
+        return series
 
     # Upward recurrence c_{m+2} = (1/m! - c_m) / x: stable for large x.
+    high = x.clamp(min=_SERIES_BELOW)
     angle, inverse = torch.sqrt(high), high.reciprocal()
     l0 = torch.cos(angle)
     l1 = torch.sin(angle) / angle
@@ -70,6 +89,5 @@ def stumpff(x: Tensor) -> Stumpff:
     l5 = (sixth - l3) * inverse
     l6 = (twentyfourth - l4) * inverse
 
-    series = (s0, s1, s2, s3, s4, p5 / factorial(5), p6 / factorial(6))
     closed = (l0, l1, l2, l3, l4, l5, l6)
     return Stumpff(*(torch.where(small, s, c) for s, c in zip(series, closed, strict=True)))
