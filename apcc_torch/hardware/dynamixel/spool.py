@@ -1,0 +1,89 @@
+"""Motor ticks to tendon length changes and back: spool radius, direction, and the calibrated zero."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from apcc_torch.errors import ShapeError, ValueRangeError
+from apcc_torch.hardware.dynamixel.registers import CURRENT_UNIT, MAX_POSITION, TICK, VELOCITY_UNIT
+
+Array = NDArray[np.float64]
+Ticks = NDArray[np.int64]
+
+ROUND_OFF = 1e-9  # ticks: a limit that is a whole tick but for rounding is that tick
+
+
+@dataclass(frozen=True)
+class Spools:
+    """All spools: y = sign radius (ticks - zero) 2 pi / 4096.
+
+    radii: (n_a,) m. signs: (n_a,) +1 or -1. lower, upper: (n_a,) m, the range of y. zero: (n_a,) ticks where y is 0.
+
+    Raises:
+        ValueRangeError: A motor cannot reach its whole range from that zero.
+    """
+
+    radii: Array
+    signs: Ticks
+    lower: Array
+    upper: Array
+    zero: Ticks
+
+    def __post_init__(self) -> None:
+        low, high = self.bounds
+        for k in range(len(self.zero)):
+            if low[k] < -MAX_POSITION or high[k] > MAX_POSITION:
+                raise ValueRangeError(
+                    f"tendon {k + 1} would leave the motor's range of {MAX_POSITION} ticks: turn the power off and on"
+                )
+
+    @property
+    def length_per_tick(self) -> Array:
+        """(n_a,) m, with sign."""
+        return self.signs * self.radii * TICK
+
+    @property
+    def bounds(self) -> tuple[Ticks, Ticks]:
+        """Least and greatest ticks (n_a,) whose length is in the range."""
+        ends = np.stack([self.lower / self.length_per_tick, self.upper / self.length_per_tick])
+        low = np.ceil(ends.min(0) - ROUND_OFF).astype(np.int64)
+        high = np.floor(ends.max(0) + ROUND_OFF).astype(np.int64)
+        return self.zero + low, self.zero + high
+
+    def length(self, ticks: Ticks) -> Array:
+        """Length changes (n_a,), m, at positions (n_a,)."""
+        return self.length_per_tick * (ticks - self.zero)
+
+    def rate(self, velocity: Ticks) -> Array:
+        """Length rates (n_a,), m/s, of velocities in the register's unit."""
+        return self.signs * self.radii * (VELOCITY_UNIT * velocity)
+
+    def tension(self, current: Ticks, torque_constant: float) -> Array:
+        """Tensions (n_a,), N, of currents in the register's unit; positive where the motor pulls the tendon in.
+
+        Friction in the gears and the guides is in them: an estimate, at rest a rough one.
+        """
+        return -self.signs * torque_constant * (CURRENT_UNIT * current) / self.radii
+
+    def clip(self, ticks: Ticks) -> Ticks:
+        """The nearest positions (n_a,) in the range."""
+        return np.clip(ticks, *self.bounds)
+
+    def ticks(self, y: Array) -> Ticks:
+        """Positions (n_a,) nearest to length changes y (n_a,), m, in the range.
+
+        Raises:
+            ShapeError: y is not (n_a,).
+            ValueRangeError: y is not finite.
+        """
+        y = np.asarray(y, dtype=np.float64)
+        if y.shape != self.zero.shape:
+            raise ShapeError(f"y must have shape {self.zero.shape}, got {y.shape}")
+        if not np.isfinite(y).all():
+            raise ValueRangeError(f"y must be finite, got {y.tolist()}")
+        # Clipped before it becomes an integer: a huge length would overflow.
+        bounded = np.clip(y, self.lower, self.upper)
+        return self.clip(self.zero + np.rint(bounded / self.length_per_tick).astype(np.int64))

@@ -1,0 +1,55 @@
+"""A test's handle on the emulator's process."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+TESTS = Path(__file__).resolve().parents[3]
+
+
+class ServoEmulator:
+    """Motors on a pseudo terminal named `link`, in a process of their own.
+
+    Args:
+        link: Name of the terminal, as /dev/serial/by-id gives one.
+        motors: id -> start position in ticks.
+    """
+
+    def __init__(self, link: Path, motors: Mapping[int, int]) -> None:
+        self.link = link
+        command = [sys.executable, "-m", "hardware.emulators.servo", str(link), json.dumps(dict(motors))]
+        self.process = subprocess.Popen(command, cwd=TESTS, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+        self._answer()
+
+    def _answer(self) -> dict[str, Any]:
+        assert self.process.stdout is not None
+        line = self.process.stdout.readline()
+        if not line:
+            raise RuntimeError(f"the emulator ended with {self.process.wait()}")
+        answer: dict[str, Any] = json.loads(line)
+        if "error" in answer:
+            raise ValueError(answer["error"])
+        return answer
+
+    def do(self, order: str, motor: int | None = None, **details: float) -> dict[str, Any]:
+        """One order, see `Line.command`; returns its answer."""
+        assert self.process.stdin is not None
+        whole = {"do": order, **({} if motor is None else {"id": motor}), **details}
+        self.process.stdin.write(json.dumps(whole).encode() + b"\n")
+        self.process.stdin.flush()
+        return self._answer()
+
+    def report(self) -> dict[int, dict[str, Any]]:
+        """Each motor's position, goal, torque, tripped, goals (every goal written), refused."""
+        return {int(identity): found for identity, found in self.do("report").items()}
+
+    def close(self) -> None:
+        assert self.process.stdin is not None and self.process.stdout is not None
+        self.process.stdin.close()
+        self.process.wait(timeout=10)
+        self.process.stdout.close()

@@ -1,0 +1,180 @@
+"""One emulated XM430-W210: control table, motion, bus watchdog, shutdown."""
+
+from __future__ import annotations
+
+from math import exp
+from typing import NamedTuple
+
+SIZE = 700
+TICKS_PER_TURN = 4096
+TICKS_PER_SPEED_UNIT = 0.229 / 60 * TICKS_PER_TURN
+NO_LOAD_SPEED = 95 / 60 * TICKS_PER_TURN
+GAIN = 40.0  # 1/s, of the approach to a near goal
+
+OK, RESULT_FAIL, INSTRUCTION, DATA_RANGE, DATA_LENGTH, ACCESS = 0, 1, 2, 4, 5, 7
+ALERT = 0x80
+
+MODE, TORQUE, HARDWARE_ERROR, WATCHDOG, GOAL, POSITION = 11, 64, 70, 98, 116, 132
+GOALS = {100, 102, 104, 116}
+INDIRECT_ADDRESS, INDIRECT_DATA, SLOTS = 168, 224, 28
+
+
+class Field(NamedTuple):
+    """A register that can be written: width, range, start value, sign. Below address 64 it is kept without power."""
+
+    length: int
+    low: int
+    high: int
+    start: int
+    signed: bool = False
+
+
+FIELDS: dict[int, Field] = {
+    7: Field(1, 0, 252, 1),
+    8: Field(1, 0, 7, 3),
+    9: Field(1, 0, 254, 250),
+    10: Field(1, 0, 5, 0),
+    11: Field(1, 0, 16, 5),  # 3 from the factory; these have been used
+    20: Field(4, -1_044_479, 1_044_479, 0, True),
+    31: Field(1, 0, 100, 80),
+    36: Field(2, 0, 885, 885),
+    38: Field(2, 0, 1193, 1193),
+    44: Field(4, 0, 1023, 330),
+    60: Field(1, 0, 3, 0),
+    63: Field(1, 0, 255, 52),
+    64: Field(1, 0, 1, 0),
+    65: Field(1, 0, 1, 0),
+    68: Field(1, 0, 2, 2),
+    98: Field(1, 0, 127, 0),
+    100: Field(2, -885, 885, 885, True),
+    102: Field(2, -1193, 1193, 1193, True),
+    104: Field(4, -1023, 1023, 0, True),
+    108: Field(4, 0, 32767, 0),
+    112: Field(4, 0, 32767, 0),
+    116: Field(4, -1_048_575, 1_048_575, 0, True),
+}
+FIELDS |= {INDIRECT_ADDRESS + 2 * k: Field(2, 64, 661, INDIRECT_DATA + k) for k in range(SLOTS)}
+
+
+class Motor:
+    """Its table is a byte string; position is kept as a float beside it, in ticks."""
+
+    def __init__(self, identity: int, position: int, now: float) -> None:
+        self.memory = bytearray(SIZE)
+        self.put(0, 2, 1030)
+        self.put(6, 1, 45)
+        for address, field in FIELDS.items():
+            if address < 64:
+                self.put(address, field.length, field.start)
+        self.put(7, 1, identity)
+        self.position = 0.0
+        self.load = 0
+        self.tracks = False  # whether the goal follows the position while torque is off
+        self.goals: list[int] = []  # every goal position that was written, taken or refused
+        self.refused = 0
+        self.restart(now)
+        self.position = float(position)  # turned since its start
+        self._show(0.0)
+
+    def restart(self, now: float) -> None:
+        """Power off and on: what is not kept is at its start, and of the turns only the last is known."""
+        self.memory[64:] = bytes(SIZE - 64)
+        for address, field in FIELDS.items():
+            if address >= 64:
+                self.put(address, field.length, field.start)
+        self.position %= TICKS_PER_TURN
+        self.put(GOAL, 4, round(self.position))
+        self.stopped = False
+        self.time = self.fed = now
+        self._show(0.0)
+
+    def get(self, address: int, length: int, signed: bool = False) -> int:
+        return int.from_bytes(self.memory[address : address + length], "little", signed=signed)
+
+    def put(self, address: int, length: int, value: int) -> None:
+        self.memory[address : address + length] = (value % 256**length).to_bytes(length, "little")
+
+    def _show(self, speed: float) -> None:
+        self.put(126, 2, self.load)
+        self.put(128, 4, round(speed / TICKS_PER_SPEED_UNIT))
+        self.put(POSITION, 4, round(self.position))
+        if self.tracks and not self.memory[TORQUE]:
+            self.put(GOAL, 4, round(self.position))
+
+    def overload(self) -> None:
+        """The shutdown of an overload: the motor lets go and stays so until it restarts."""
+        self.memory[HARDWARE_ERROR] |= 0x20
+        self.memory[TORQUE] = 0
+
+    def advance(self, now: float) -> None:
+        """Motion and watchdog up to `now`, s."""
+        allowed = 0.02 * self.memory[WATCHDOG]
+        if self.memory[TORQUE] and 1 <= self.memory[WATCHDOG] <= 127 and now - self.fed > allowed:
+            self._move(self.fed + allowed)
+            self.memory[WATCHDOG] = 0xFF
+            self.stopped = True
+            self.put(108, 4, 0)
+            self.put(112, 4, 0)
+        self._move(now)
+
+    def _move(self, now: float) -> None:
+        dt, self.time = max(0.0, now - self.time), max(now, self.time)
+        before = self.position
+        if self.memory[TORQUE] and not self.stopped and dt > 0:
+            top = min(self.get(112, 4) * TICKS_PER_SPEED_UNIT or NO_LOAD_SPEED, NO_LOAD_SPEED)
+            error = self.get(GOAL, 4, True) - self.position
+            straight = max(0.0, (abs(error) - top / GAIN) / top)
+            left = max(abs(error) - top * min(dt, straight), 0.0) * exp(-GAIN * max(0.0, dt - straight))
+            self.position += error - (left if error > 0 else -left)
+        self._show((self.position - before) / dt if dt > 0 else 0.0)
+
+    def _address(self, address: int) -> int:
+        """Where a byte really lies."""
+        slot = address - INDIRECT_DATA
+        return self.get(INDIRECT_ADDRESS + 2 * slot, 2) if 0 <= slot < SLOTS else address
+
+    def read(self, address: int, length: int) -> tuple[int, bytes]:
+        """Error number and data."""
+        if address + length > SIZE:
+            return ACCESS, b""
+        return OK, bytes(self.memory[self._address(address + k)] for k in range(length))
+
+    def write(self, address: int, data: bytes, now: float) -> int:
+        """Error number. Nothing is written if a part cannot be."""
+        parts: list[tuple[int, Field, int]] = []
+        place = 0
+        while place < len(data):
+            field = FIELDS.get(address + place)
+            if field is None:
+                return ACCESS
+            piece = data[place : place + field.length]
+            if len(piece) < field.length:
+                return DATA_LENGTH
+            parts.append((address + place, field, int.from_bytes(piece, "little", signed=field.signed)))
+            place += field.length
+        for at, field, value in parts:
+            if at == GOAL:
+                self.goals.append(value)
+            if error := self._refusal(at, field, value):
+                self.refused += at == GOAL
+                return error
+        for at, field, value in parts:
+            before = self.get(at, field.length)
+            self.put(at, field.length, value)
+            if at == MODE and value != before:
+                self.position %= TICKS_PER_TURN
+            if at == WATCHDOG and value == 0:
+                self.stopped = False
+        self.fed = now
+        return OK
+
+    def _refusal(self, address: int, field: Field, value: int) -> int:
+        if address < 64 and self.memory[TORQUE]:
+            return ACCESS
+        if not field.low <= value <= field.high or (address in GOALS and self.memory[WATCHDOG] == 0xFF):
+            return DATA_RANGE
+        if address == 102 and abs(value) > self.get(38, 2):
+            return DATA_RANGE
+        if address == TORQUE and value and self.memory[HARDWARE_ERROR] & self.memory[63]:
+            return RESULT_FAIL
+        return OK
