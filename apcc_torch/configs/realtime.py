@@ -1,0 +1,143 @@
+"""What can be set of a run in real time. Values and meanings stand in conf/; a wrong key or type is refused."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+from omegaconf import MISSING
+
+from apcc_torch.configs.schema import (
+    AdaptationConfig,
+    ControllerConfig,
+    ExperimentConfig,
+    FeedbackConfig,
+    PlantConfig,
+    RobotConfig,
+    SensorsConfig,
+    SimulateConfig,
+    VelocityFilterConfig,
+)
+
+
+@dataclass
+class SimulatedConfig:
+    """The simulated arm's devices."""
+
+    lockstep: bool = False
+    step: float = 5e-3
+    frame_rate: float = 50.0
+    frame_latency: float = 8e-3
+    motor_speed: float = 0.3
+    resolution: float = 1.5e-5
+
+
+@dataclass
+class HardwareConfig:
+    """Which devices."""
+
+    kind: str = MISSING
+    simulated: SimulatedConfig = field(default_factory=SimulatedConfig)
+
+
+@dataclass
+class LimitsConfig:
+    """Clamps of every command: a number, or one a tendon."""
+
+    lower: Any = MISSING
+    upper: Any = MISSING
+    rate: Any = 0.15
+    step: Any = 5e-3
+
+
+@dataclass
+class SensingConfig:
+    """Frames and bodies to believe."""
+
+    max_age: float = 0.06
+    stale: float = 0.2
+    dropout: float = 0.3
+    frozen_frames: int | None = 10
+    partial: str = "skip"
+    max_speed: float = 1.0
+    position_margin: float = 0.01
+    max_angular_rate: float = 8.0
+    angle_margin: float = 0.15
+    reach: float = 1.5
+    max_bend: float = 3.0
+    max_twist: float = 0.8
+
+
+@dataclass
+class GuardsConfig:
+    """What ends a run."""
+
+    limits: LimitsConfig = field(default_factory=LimitsConfig)
+    sensing: SensingConfig = field(default_factory=SensingConfig)
+    arrival_error: float | None = 1e-3
+    arrival_dwell: float = 0.5
+    max_error: float | None = 1.0
+    effort_limit: float | None = None
+    effort_dwell: float = 0.3
+    effort_cap: float | None = None
+    slack_effort: float | None = None
+    slack_dwell: float = 0.5
+    range_margin: float = 5e-3
+    overruns: int = 10
+    overrun_window: float = 1.0
+    failed_exchanges: int = 5
+    endings: dict[str, str] = field(default_factory=dict)
+
+
+@dataclass
+class LoopConfig:
+    """Rate and preparation of the loop."""
+
+    rate: float = 50.0
+    spin: float = 2e-4
+    warm_up: int = 50
+    fresh_frames: int = 5
+    fresh_timeout: float = 2.0
+    arm_margin: float = 1e-3
+    hold: float = 30.0
+    priority: int | None = None
+    lock_memory: bool = False
+
+
+@dataclass
+class RealtimeConfig:
+    """Root of `python -m apcc_torch.robot`."""
+
+    hardware: HardwareConfig = field(default_factory=HardwareConfig)
+    guards: GuardsConfig = field(default_factory=GuardsConfig)
+    loop: LoopConfig = field(default_factory=LoopConfig)
+    robot: RobotConfig = field(default_factory=RobotConfig)
+    plant: PlantConfig = field(default_factory=PlantConfig)
+    sensors: SensorsConfig = field(default_factory=SensorsConfig)
+    feedback: FeedbackConfig = field(default_factory=FeedbackConfig)
+    velocity_filter: VelocityFilterConfig = field(default_factory=VelocityFilterConfig)
+    controller: ControllerConfig = field(default_factory=ControllerConfig)
+    adaptation: AdaptationConfig = field(default_factory=AdaptationConfig)
+    experiment: ExperimentConfig = field(default_factory=ExperimentConfig)
+    dry_run: bool = False
+    view: bool = True
+    log: bool = True
+    seed: int = 0
+    dtype: str = "float64"
+
+
+def model_settings(config: RealtimeConfig) -> SimulateConfig:
+    """The part of the settings that a simulation has too, as the builder of simulations takes it."""
+    shared = (
+        "robot",
+        "plant",
+        "sensors",
+        "feedback",
+        "velocity_filter",
+        "controller",
+        "adaptation",
+        "experiment",
+        "seed",
+        "dtype",
+    )
+    return SimulateConfig(**{name: getattr(config, name) for name in shared})

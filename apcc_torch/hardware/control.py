@@ -1,0 +1,169 @@
+"""The controller as the loop calls it: numbers in, numbers out, the state kept in between."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from apcc_torch.control.controller import APCCController
+from apcc_torch.control.signals import Command, ControllerState, Measurement, Target
+from apcc_torch.errors import ConfigError
+from apcc_torch.hardware.interfaces import Array
+from apcc_torch.hardware.sensing import Seen
+from apcc_torch.simulation.trajectory import Trajectory
+
+Step = Callable[[ControllerState, Measurement, Target], tuple[ControllerState, Command]]
+"""One control step: the controller itself, or a compiled form of it."""
+
+
+@dataclass(frozen=True)
+class Decision:
+    """One step of the controller.
+
+    time: s since the start, of the measurement. x_d, xdot_d, e: (3,) m, m/s, m. y: (n_a,) wanted length changes, m.
+    q_bar, qdot, q_d: (3 n_b,). pi_hat: (n_b,) m. status: `FeedbackStatus`. angular_error, linear_error: (k,) rad, m.
+    """
+
+    time: float
+    x_d: Array
+    xdot_d: Array
+    e: Array
+    y: Array
+    q_bar: Array
+    qdot: Array
+    q_d: Array
+    pi_hat: Array
+    status: int
+    iterations: int
+    angular_error: Array
+    linear_error: Array
+
+
+@dataclass(frozen=True)
+class Start:
+    """Where the controller starts: q (3 n_b,), pi_hat (n_b,) m, and the stamp of its first measurement, s."""
+
+    q: Array
+    pi_hat: Array
+    time: float
+
+
+class Control:
+    """Runs the controller on frames.
+
+    Args:
+        controller: With a routing.
+        trajectory: Targets over the time since the start.
+        pi_hat: (n_b,) first estimates, m.
+        step: The step to call; None for the controller itself.
+
+    Raises:
+        ConfigError: The controller has no routing.
+    """
+
+    def __init__(
+        self, controller: APCCController, trajectory: Trajectory, pi_hat: Tensor, step: Step | None = None
+    ) -> None:
+        if controller.routing is None:
+            raise ConfigError("the controller of an arm needs a tendon routing")
+        self.controller = controller
+        self.n_tendons = controller.routing.n_tendons
+        self.n_bodies = controller.feedback.abscissae.shape[-1]
+        self.trajectory = trajectory
+        self.pi_hat = pi_hat
+        self.step: Step = controller if step is None else step
+        self.state = self._initial(torch.zeros(controller.backbone.n, dtype=pi_hat.dtype), pi_hat, 0.0)
+
+    def _initial(self, q: Tensor, pi_hat: Tensor, time: float) -> ControllerState:
+        return self.controller.initial_state(q, pi_hat, torch.tensor(time, dtype=torch.float64))
+
+    def _measurement(self, seen: Seen, time: float) -> Measurement:
+        return Measurement(
+            torch.from_numpy(seen.T).to(self.pi_hat.dtype),
+            torch.tensor(time, dtype=torch.float64),
+            torch.from_numpy(seen.position_ok),
+            torch.from_numpy(seen.orientation_ok),
+        )
+
+    def warm_up(self, seen: Seen, steps: int, period: float, now: Callable[[], float]) -> list[float]:
+        """Steps on one frame with the end effector as its own target: nothing is asked of the arm.
+
+        It also brings q_bar from the straight arm to the measured one.
+
+        Args:
+            seen: A complete frame.
+            steps: How many.
+            period: Time that the stamps pretend to pass between two steps, s.
+            now: The clock.
+
+        Returns:
+            Each step's time, s.
+        """
+        still = torch.zeros(3, dtype=self.pi_hat.dtype)
+        took = []
+        for k in range(steps):
+            began = now()
+            measurement = self._measurement(seen, (k + 1) * period)
+            target = Target(measurement.T[-1, :3, 3], still)
+            self.state, _ = self.step(self.state, measurement, target)
+            took.append(now() - began)
+        return took
+
+    def start(self, time: float) -> Start:
+        """The state before the first step: q_bar as the warm-up left it, the first estimates.
+
+        Args:
+            time: Stamp before the first measurement, s.
+        """
+        q = self.state.q_bar
+        self.state = self._initial(q, self.pi_hat, time)
+        return Start(numbers(q), numbers(self.pi_hat), time)
+
+    def restart(self, start: Start) -> None:
+        """Goes to a start that was recorded."""
+        q, pi_hat = (torch.from_numpy(v).to(self.pi_hat.dtype) for v in (start.q, start.pi_hat))
+        self.state = self._initial(q, pi_hat, start.time)
+
+    def decide(self, seen: Seen, time: float, target: Target | None = None) -> Decision:
+        """One step.
+
+        Args:
+            seen: A usable frame.
+            time: Its stamp, s since the start.
+            target: Where to go; None for the trajectory's.
+
+        Raises:
+            ApccError: The controller refuses its input.
+        """
+        measurement = self._measurement(seen, time)
+        if target is None:
+            target = self.trajectory(measurement.time.to(self.pi_hat.dtype))
+        self.state, command = self.step(self.state, measurement, target)
+        feedback = command.feedback
+        y = command.y
+        if y is None:
+            raise ConfigError("the step of a controller with tendons must return their lengths")
+        return Decision(
+            time,
+            numbers(target.x_d),
+            numbers(target.xdot_d),
+            numbers(command.e),
+            numbers(y),
+            numbers(feedback.q_bar),
+            numbers(command.qdot),
+            numbers(command.q_d),
+            numbers(self.state.pi_hat),
+            int(feedback.status),
+            int(feedback.iterations),
+            numbers(feedback.angular_error),
+            numbers(feedback.linear_error),
+        )
+
+
+def numbers(value: Tensor) -> Array:
+    """A tensor as float64 numbers, bit for bit where it is float64."""
+    return np.asarray(value.detach().numpy(), dtype=np.float64)

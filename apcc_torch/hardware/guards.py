@@ -1,0 +1,171 @@
+"""What ends a run: limits on efforts, lengths, errors, deadlines and exchanges, each with its dwell or budget."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from apcc_torch.errors import ValueRangeError
+from apcc_torch.hardware.control import Decision
+from apcc_torch.hardware.interfaces import TendonReading
+from apcc_torch.hardware.limits import CommandLimits
+from apcc_torch.hardware.stops import Ending, Stop, StopReason, endings
+
+
+@dataclass(frozen=True)
+class GuardSettings:
+    """Limits of a run. None switches a guard off.
+
+    duration: s, the longest run.
+    arrival_error, arrival_dwell: m and s: a run ends well once the error has stayed below for the dwell.
+    max_error: m, position error that counts as divergence.
+    effort_limit, effort_dwell: N and s: above the limit for longer than the dwell.
+    effort_cap: N, above it at once.
+    slack_effort, slack_dwell: N and s: below it for longer than the dwell.
+    range_margin: m by which a measured length may leave the commands' range.
+    overruns, overrun_window: More than so many missed deadlines within the window, s.
+    failed_exchanges: So many readings, or so many commands, in a row.
+    endings: What each reason leads to.
+
+    Raises:
+        ValueRangeError: A limit is not positive.
+    """
+
+    duration: float
+    arrival_error: float | None = 1e-3
+    arrival_dwell: float = 0.5
+    max_error: float | None = 1.0
+    effort_limit: float | None = None
+    effort_dwell: float = 0.3
+    effort_cap: float | None = None
+    slack_effort: float | None = None
+    slack_dwell: float = 0.5
+    range_margin: float = 5e-3
+    overruns: int = 10
+    overrun_window: float = 1.0
+    failed_exchanges: int = 5
+    endings: Mapping[StopReason, Ending] = field(default_factory=endings)
+
+    def __post_init__(self) -> None:
+        """Checks the limits."""
+        for name in ("duration", "arrival_error", "max_error", "effort_limit", "effort_cap", "overrun_window"):
+            value = getattr(self, name)
+            if value is not None and not value > 0:
+                raise ValueRangeError(f"guards.{name} must be positive, got {value}")
+        for name in ("arrival_dwell", "effort_dwell", "slack_dwell", "range_margin", "overruns"):
+            if not getattr(self, name) >= 0:
+                raise ValueRangeError(f"guards.{name} must be zero or positive, got {getattr(self, name)}")
+        if self.failed_exchanges < 1:
+            raise ValueRangeError(f"guards.failed_exchanges must be at least 1, got {self.failed_exchanges}")
+
+
+class Dwell:
+    """Whether a condition has held for longer than some time.
+
+    Args:
+        seconds: That time, s.
+    """
+
+    def __init__(self, seconds: float) -> None:
+        self.seconds = seconds
+        self.since: float | None = None
+
+    def over(self, condition: bool, now: float) -> bool:
+        """Takes the condition at `now`, s; True once it has held for longer than the time."""
+        if not condition:
+            self.since = None
+            return False
+        if self.since is None:
+            self.since = now
+        return now - self.since >= self.seconds
+
+
+class Guards:
+    """The guards of one run with what they remember.
+
+    Args:
+        settings: Limits.
+        limits: The commands' range.
+    """
+
+    def __init__(self, settings: GuardSettings, limits: CommandLimits) -> None:
+        self.settings = settings
+        self.limits = limits
+        self.effort = Dwell(settings.effort_dwell)
+        self.slack = Dwell(settings.slack_dwell)
+        self.arrival = Dwell(settings.arrival_dwell)
+        self.failed_reads = self.failed_sends = 0
+        self.missed: deque[float] = deque()
+
+    def on_reading(self, reading: TendonReading, now: float) -> Stop | None:
+        """Judges a reading at `now`, s."""
+        s = self.settings
+        self.failed_reads = 0
+        if not self.limits.inside(reading.y, s.range_margin):
+            return Stop(StopReason.TENDON_RANGE, f"measured lengths {_mm(reading.y)} mm have left their range")
+        largest, smallest = float(reading.effort.max()), float(reading.effort.min())
+        if s.effort_cap is not None and not largest <= s.effort_cap:
+            tendon = int(reading.effort.argmax()) + 1
+            return Stop(StopReason.EFFORT_CAP, f"tendon {tendon} pulls {largest:.1f} N, the cap is {s.effort_cap:g} N")
+        if s.effort_limit is not None and self.effort.over(not largest <= s.effort_limit, now):
+            tendon = int(reading.effort.argmax()) + 1
+            return Stop(
+                StopReason.OVER_EFFORT, f"tendon {tendon} pulled {largest:.1f} N for {s.effort_dwell:g} s or longer"
+            )
+        if s.slack_effort is not None and self.slack.over(smallest < s.slack_effort, now):
+            tendon = int(reading.effort.argmin()) + 1
+            return Stop(StopReason.SLACK, f"tendon {tendon} was slack for {s.slack_dwell:g} s or longer")
+        return None
+
+    def on_decision(self, decision: Decision, now: float) -> Stop | None:
+        """Judges a control step at `now`, s."""
+        s = self.settings
+        if not np.isfinite(decision.y).all():
+            return Stop(StopReason.COMMAND_NOT_FINITE, f"the controller wants lengths {_mm(decision.y)} mm")
+        error = float(np.linalg.norm(decision.e))
+        if s.max_error is not None and not error <= s.max_error:
+            return Stop(StopReason.DIVERGENCE, f"the position error is {error:.3f} m, the limit {s.max_error:g} m")
+        if s.arrival_error is not None and self.arrival.over(error <= s.arrival_error, now):
+            return Stop(StopReason.ARRIVED, f"within {1e3 * s.arrival_error:g} mm for {s.arrival_dwell:g} s")
+        return None
+
+    @property
+    def failed(self) -> int:
+        """Failed exchanges in a row, of the kind that has more of them."""
+        return max(self.failed_reads, self.failed_sends)
+
+    def on_failed_read(self, error: Exception) -> Stop | None:
+        """Counts a reading that failed; the next reading ends the row."""
+        self.failed_reads += 1
+        return self._too_many(self.failed_reads, "readings", error)
+
+    def on_failed_send(self, error: Exception) -> Stop | None:
+        """Counts a command that failed. `on_sent` ends the row, a reading does not: one can work without the other."""
+        self.failed_sends += 1
+        return self._too_many(self.failed_sends, "commands", error)
+
+    def on_sent(self) -> None:
+        """A command was sent."""
+        self.failed_sends = 0
+
+    def _too_many(self, count: int, what: str, error: Exception) -> Stop | None:
+        if count < self.settings.failed_exchanges:
+            return None
+        return Stop(StopReason.COMMUNICATION, f"{count} {what} failed in a row, the last: {error}")
+
+    def on_overrun(self, now: float) -> Stop | None:
+        """Counts a missed deadline at `now`, s."""
+        self.missed.append(now)
+        while now - self.missed[0] > self.settings.overrun_window:
+            self.missed.popleft()
+        if len(self.missed) <= self.settings.overruns:
+            return None
+        window = self.settings.overrun_window
+        return Stop(StopReason.OVERRUN, f"{len(self.missed)} missed deadlines within {window:g} s")
+
+
+def _mm(y: np.ndarray) -> list[float]:
+    return [round(float(v), 2) for v in 1e3 * y]

@@ -1,0 +1,68 @@
+"""A log through the controller once more: the same measurements and targets must give the same commands."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import torch
+
+from apcc_torch.control.signals import Target
+from apcc_torch.hardware.control import Control, Start
+from apcc_torch.hardware.interfaces import Array
+from apcc_torch.hardware.log_reader import RobotLog
+from apcc_torch.hardware.sensing import Seen
+
+
+class Replayed(NamedTuple):
+    """Wanted length changes at each control step.
+
+    time: (T,) s. logged, replayed: (T, n_a) m.
+    """
+
+    time: Array
+    logged: Array
+    replayed: Array
+
+    @property
+    def difference(self) -> float:
+        """Largest difference, m; NaN if any number is."""
+        return float(np.abs(self.logged - self.replayed).max())
+
+
+def replay(log: RobotLog, control: Control) -> Replayed:
+    """Gives the controller what it was given, step by step.
+
+    Args:
+        log: Of a run.
+        control: Built from the log's own settings, or from others to see what they would have done.
+
+    Raises:
+        DataError: The log holds no control step.
+    """
+    first = log.topic("/start")[0]
+    control.restart(Start(first["q"].copy(), first["pi_hat"].copy(), float(first["first"])))
+    steps, targets = log.topic("/controller"), log.topic("/target")
+    frames = {int(row["tick"]): row for row in log.topic("/measurement") if row["usable"]}
+    replayed = []
+    with torch.inference_mode():
+        for step, target in zip(steps, targets, strict=False):
+            seen = _seen(frames[int(step["tick"])])
+            x_d, xdot_d = (torch.from_numpy(target[name].copy()).to(control.pi_hat.dtype) for name in ("x_d", "xdot_d"))
+            replayed.append(control.decide(seen, float(step["time"]), Target(x_d, xdot_d)).y)
+    count = len(replayed)
+    return Replayed(steps["time"][:count], steps["y"][:count], np.array(replayed))
+
+
+def _seen(row: np.void) -> Seen:
+    return Seen(
+        float(row["time"]),
+        int(row["sequence"]),
+        float(row["age"]),
+        row["poses"].reshape(-1, 4, 4).copy(),
+        row["position_ok"].astype(np.bool_),
+        row["orientation_ok"].astype(np.bool_),
+        row["position_reason"].copy(),
+        row["orientation_reason"].copy(),
+        bool(row["usable"]),
+    )

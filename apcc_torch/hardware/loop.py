@@ -1,0 +1,136 @@
+"""The loop under torque: on absolute deadlines, read, sense, decide, clamp, send."""
+
+from __future__ import annotations
+
+from apcc_torch.errors import ApccError, CommunicationError, HardwareError
+from apcc_torch.hardware.guards import Guards
+from apcc_torch.hardware.interfaces import Array
+from apcc_torch.hardware.journal import Journal
+from apcc_torch.hardware.records import Tick
+from apcc_torch.hardware.setup import Setup
+from apcc_torch.hardware.states import State
+from apcc_torch.hardware.stops import Halt, Stop, StopReason, halt_if
+
+
+class Loop:
+    """Turns until one halts.
+
+    Args:
+        setup: The parts.
+        journal: Told of every turn.
+        guards: Their memory; it goes on in the hold after the loop.
+        sent: (n_a,) the lengths that count as sent, m.
+
+    Attributes:
+        started_at: Zero of the run's time, s. ticks: Turns so far. overruns: Missed deadlines so far.
+    """
+
+    def __init__(self, setup: Setup, journal: Journal, guards: Guards, sent: Array) -> None:
+        self.setup = setup
+        self.journal = journal
+        self.guards = guards
+        self.requested = self.sent = sent
+        self.sent_at = setup.clock.now()
+        self.started_at = self.sent_at + setup.loop.period
+        self.ticks = 0
+        self.overruns = 0
+
+    def run(self) -> None:
+        """Never returns.
+
+        Raises:
+            Halt: The run stops.
+            HardwareError: A motor reports a fault.
+        """
+        clock, loop = self.setup.clock, self.setup.loop
+        self.setup.sensing.begin(self.started_at)
+        self.journal.start(self.setup.control.start(0.0), self.started_at)
+        self.journal.to(State.RUNNING, f"running at {loop.rate:g} Hz")
+        k = 0
+        while True:
+            deadline = self.started_at + k * loop.period
+            clock.wait_until(deadline)
+            self.turn(k, deadline)
+            self.ticks += 1
+            k += 1
+            now = clock.now()
+            if now > self.started_at + k * loop.period:
+                # The latest deadline that has passed is served at once; those before it are lost.
+                k = max(k, int((now - self.started_at) * loop.rate))
+                self.overruns += 1
+                halt_if(self.guards.on_overrun(now))
+
+    def turn(self, k: int, deadline: float) -> None:
+        """One turn. Its record is kept however it ends."""
+        now = self.setup.clock.now()
+        tick = Tick(
+            k, now, now - self.started_at, deadline, now - deadline, self.journal.state, self.requested, self.sent
+        )
+        try:
+            halt_if(self.setup.request.stop)
+            halt_if(self.journal.failure())
+            if tick.time >= self.setup.guards.duration:
+                raise Halt(Stop(StopReason.DURATION, f"{self.setup.guards.duration:g} s are over"))
+            self._read(tick)
+            self._sense(tick)
+            self._decide(tick)
+            self._send(tick)
+        finally:
+            tick.overruns, tick.failed = self.overruns, self.guards.failed
+            self.journal.tick(tick)
+
+    def _read(self, tick: Tick) -> None:
+        clock = self.setup.clock
+        began = clock.now()
+        try:
+            tick.reading = self.setup.actuator.read()
+        except CommunicationError as error:
+            self.journal.event("exchange_failed", str(error))
+            halt_if(self.guards.on_failed_read(error))
+        tick.read = clock.now() - began
+        if tick.reading is not None:
+            halt_if(self.guards.on_reading(tick.reading, clock.now()))
+
+    def _sense(self, tick: Tick) -> None:
+        clock = self.setup.clock
+        began = clock.now()
+        try:
+            sample = self.setup.sensor.latest()
+        except HardwareError as error:
+            raise Halt(Stop(StopReason.SENSOR_LOST, str(error))) from error
+        tick.seen = self.setup.sensing.look(sample, clock.now())
+        tick.sense = clock.now() - began
+        halt_if(self.setup.sensing.missing(clock.now()))
+
+    def _decide(self, tick: Tick) -> None:
+        """Steps the controller where there is a new frame to step on; elsewhere its last wish stands."""
+        seen = tick.seen
+        if seen is None or not seen.usable:
+            return
+        clock = self.setup.clock
+        began = clock.now()
+        try:
+            tick.decision = self.setup.control.decide(seen, seen.stamp - self.started_at)
+        except ApccError as error:
+            raise Halt(Stop(StopReason.CONTROLLER_ERROR, str(error))) from error
+        tick.control = clock.now() - began
+        halt_if(self.guards.on_decision(tick.decision, clock.now()))
+        self.requested = tick.requested = tick.decision.y
+
+    def _send(self, tick: Tick) -> None:
+        """Sends what the limits leave of the last wish: one out of reach is approached turn by turn."""
+        clock = self.setup.clock
+        began = clock.now()
+        y = self.setup.limits.clamp(self.requested, self.sent, began - self.sent_at)
+        try:
+            self.sent = tick.sent = self.setup.actuator.send(y)
+            self.sent_at = began
+            tick.fresh = True
+            self.guards.on_sent()
+        except CommunicationError as error:
+            self.journal.event("exchange_failed", str(error))
+            halt_if(self.guards.on_failed_send(error))
+        ended = clock.now()
+        tick.send = ended - began
+        if tick.fresh and tick.decision is not None and tick.seen is not None:
+            tick.latency = ended - tick.seen.stamp

@@ -1,0 +1,63 @@
+"""python -m apcc_torch.robot: one experiment on an arm, real or simulated, in real time."""
+
+from __future__ import annotations
+
+import logging
+import sys
+from pathlib import Path
+
+import hydra
+from hydra.core.config_store import ConfigStore
+from hydra.core.hydra_config import HydraConfig
+from omegaconf import DictConfig, OmegaConf
+
+from apcc_torch.conf_path import conf_path
+from apcc_torch.configs.realtime import RealtimeConfig
+from apcc_torch.configs.typed import typed
+from apcc_torch.errors import ApccError
+from apcc_torch.experiments import realtime
+from apcc_torch.experiments.folder import metrics_text
+from apcc_torch.files import write_atomically
+from apcc_torch.hardware.records import Outcome
+from apcc_torch.hardware.stops import exit_code_table
+
+log = logging.getLogger("apcc_torch.robot")
+
+ConfigStore.instance().store(name="realtime_schema", node=RealtimeConfig)
+OmegaConf.register_new_resolver("exit_codes", exit_code_table, replace=True)
+
+
+def run(cfg: DictConfig, folder: Path) -> tuple[Outcome, dict[str, float]]:
+    """Runs the configured experiment into `folder`; returns how it ended, and its metrics."""
+    config = typed(cfg, RealtimeConfig)
+    settings = OmegaConf.to_yaml(cfg, resolve=True)
+    write_atomically(folder / realtime.CONFIG, settings)
+    return realtime.run(config, settings, folder)
+
+
+@hydra.main(version_base="1.3", config_path=conf_path(), config_name="realtime")
+def _hydra_main(cfg: DictConfig) -> None:
+    folder = Path(HydraConfig.get().runtime.output_dir)
+    try:
+        outcome, metrics = run(cfg, folder)
+    except ApccError as error:
+        # A wrong setting is the user's to mend: one sentence, no stack.
+        log.error("%s", error)
+        sys.exit(2)
+    level = logging.ERROR if outcome.reason.failed else logging.INFO
+    log.log(level, "%s: %s; the arm is %s", outcome.reason.value, outcome.message, outcome.state.value)
+    log.info("results in %s\n%s", folder, metrics_text(metrics))
+    sys.exit(outcome.exit_code)
+
+
+def main() -> None:
+    """Console entry point."""
+    asked = sys.argv[1:]
+    if {"-h", "--help"} & set(asked) and not any(argument.startswith("experiment=") for argument in asked):
+        # The manual ends with every key and its value, and only a chosen experiment has them all.
+        sys.argv.append("experiment=setpoint")
+    _hydra_main()
+
+
+if __name__ == "__main__":
+    main()

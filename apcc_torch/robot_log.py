@@ -1,0 +1,101 @@
+"""python -m apcc_torch.robot_log: what is in a run's log, the same run through the controller again, other formats."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from apcc_torch.errors import ApccError
+from apcc_torch.experiments.realtime import replay_log
+from apcc_torch.hardware.log_export import write_parquet, write_rerun
+from apcc_torch.hardware.log_reader import RobotLog, read_log
+
+TOLERANCE = 1e-9
+"""Largest difference of a replayed command from the logged one that counts as the same, m."""
+
+
+Answer = tuple[str, int]
+"""What to print, and the exit code."""
+
+
+def info(record: RobotLog, arguments: argparse.Namespace) -> Answer:
+    """What the log holds."""
+    whole = "complete" if record.complete else "cut off, by a kill or a full disk; this is what is left"
+    lines = [f"{arguments.log}: {whole}"]
+    for name, rows in sorted(record.topics.items()):
+        span = f"{rows['time'][0]:.3f} to {rows['time'][-1]:.3f} s" if "time" in (rows.dtype.names or ()) else ""
+        lines.append(f"  {name:<14} {len(rows):>7} messages  {span}")
+    lines += [f"  attached: {name}" for name in record.attachments]
+    for event in record.events:
+        reason = f" [{event['reason']}]" if event["reason"] else ""
+        lines.append(f"  {event['time']:14.3f} s  {event['state']:<9} {event['kind']}{reason}: {event['message']}")
+    return "\n".join(lines), 0
+
+
+def replayed(record: RobotLog, arguments: argparse.Namespace) -> Answer:
+    """How far the replayed commands are from the logged ones; exit code 1 if they are not the same."""
+    result = replay_log(record)
+    same = result.difference <= TOLERANCE
+    verdict = "the same" if same else "not the same"
+    return f"{len(result.time)} control steps, largest difference {result.difference:.3g} m: {verdict}", int(not same)
+
+
+def parquet(record: RobotLog, arguments: argparse.Namespace) -> Answer:
+    """Writes one parquet file a topic."""
+    folder = arguments.out or Path(arguments.log).with_suffix("")
+    return "\n".join(str(path) for path in write_parquet(record, folder)), 0
+
+
+def rerun(record: RobotLog, arguments: argparse.Namespace) -> Answer:
+    """Writes a recording for the rerun viewer."""
+    return str(write_rerun(record, arguments.out or Path(arguments.log).with_suffix(".rrd"))), 0
+
+
+def attachments(record: RobotLog, arguments: argparse.Namespace) -> Answer:
+    """The attached files."""
+    return "\n".join(f"# {name}\n{text}" for name, text in record.attachments.items()), 0
+
+
+COMMANDS: dict[str, tuple[Callable[[RobotLog, argparse.Namespace], Answer], str]] = {
+    "info": (info, "topics, events, and whether the file is complete"),
+    "replay": (
+        replayed,
+        f"run it through the controller again; exit code 1 if a command differs by over {TOLERANCE:g} m",
+    ),
+    "parquet": (parquet, "one parquet file a topic (needs pyarrow)"),
+    "rerun": (rerun, "a recording for the rerun viewer (needs rerun-sdk)"),
+    "attachments": (attachments, "the attached files, such as the settings"),
+}
+
+
+def parser() -> argparse.ArgumentParser:
+    """The command line."""
+    top = argparse.ArgumentParser(
+        prog="python -m apcc_torch.robot_log",
+        description="Reads log.mcap of a run of apcc_torch.robot. A log that was cut off is read as far as it goes.",
+    )
+    commands = top.add_subparsers(dest="command", required=True)
+    for name, (_, about) in COMMANDS.items():
+        command = commands.add_parser(name, help=about, description=about)
+        command.add_argument("log", type=Path, help="log.mcap of a run")
+        if name in ("parquet", "rerun"):
+            command.add_argument("--out", type=Path, help="folder or file to write; beside the log if not given")
+    return top
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Console entry point; returns the exit code."""
+    arguments = parser().parse_args(argv)
+    try:
+        text, code = COMMANDS[arguments.command][0](read_log(arguments.log), arguments)
+    except ApccError as error:
+        sys.stderr.write(f"{error}\n")
+        return 2
+    sys.stdout.write(f"{text}\n")
+    return code
+
+
+if __name__ == "__main__":
+    sys.exit(main())

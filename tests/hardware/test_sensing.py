@@ -1,0 +1,106 @@
+"""Frames between the sensor and the controller, one by one."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from apcc_torch.errors import ValueRangeError
+from apcc_torch.hardware.interfaces import PoseSample
+from apcc_torch.hardware.sensing import Sensing, SensingLimits
+from apcc_torch.hardware.stops import StopReason
+from apcc_torch.simulation.gating import Reason, SensorGate
+from fake_runs import builder, rest
+
+ALL = np.ones(3, dtype=np.bool_)
+
+
+def sensing(limits: SensingLimits | None = None) -> Sensing:
+    build = builder()
+    return Sensing(SensorGate(3), build.base_rotation(), limits or SensingLimits())
+
+
+def sample(number: int, T: np.ndarray | None = None, valid: np.ndarray = ALL) -> PoseSample:
+    """Frame `number` of a source at 100 Hz; a little apart from every other one."""
+    moved = (rest() if T is None else T).copy()
+    moved[:, 0, 3] += 1e-6 * number
+    return PoseSample(0.01 * number, number, moved, valid)
+
+
+def test_a_good_frame_passes_as_it_is_and_only_once() -> None:
+    sense = sensing()
+    seen = sense.look(sample(1), 0.015)
+    assert seen is not None and seen.complete and seen.age == pytest.approx(0.005)
+    assert np.allclose(seen.T, sample(1).T, atol=1e-15)
+    assert sense.look(sample(1), 0.016) is None and sense.look(None, 0.017) is None
+
+
+def test_held_poses_are_the_gates_in_the_samples_frame() -> None:
+    sense = sensing()
+    for k in range(3):
+        sense.look(sample(k), 0.01 * k)
+    to_base = torch.from_numpy(sense.to_base)
+    assert np.allclose(sense._held(), (to_base.mT @ sense.state.poses()).numpy(), atol=1e-15)
+
+
+def test_a_missing_body_keeps_its_last_pose_and_its_reason() -> None:
+    sense = sensing()
+    first = sense.look(sample(1), 0.01)
+    T = rest().copy()
+    T[1] = np.nan
+    seen = sense.look(sample(2, T, np.array([True, False, True])), 0.02)
+    assert first is not None and seen is not None
+    assert not seen.usable and seen.position_ok.tolist() == [True, False, True]
+    assert seen.position_reason.tolist() == [Reason.OK, Reason.UNTRACKED, Reason.OK]
+    assert np.array_equal(seen.T[1], first.T[1]) and seen.T[2, 0, 3] != first.T[2, 0, 3]
+
+
+@pytest.mark.parametrize(
+    ("late", "now"), [("old", 1.5), ("from the future", 0.5), ("back in time", 1.0)], ids=["old", "future", "back"]
+)
+def test_a_frame_out_of_time_is_not_used(late: str, now: float) -> None:
+    sense = sensing()
+    if late == "back in time":
+        sense.look(replace(sample(101), sequence=99), 1.01)
+    seen = sense.look(sample(100), now)
+    assert seen is not None and not seen.usable and np.isfinite(seen.T).all()
+
+
+def test_equal_frames_are_a_frozen_source_from_the_limit_on() -> None:
+    sense = sensing(SensingLimits(frozen_frames=3))
+    equal = [replace(sample(1), sequence=k, stamp=0.01 * k) for k in range(1, 6)]
+    seen = [sense.look(frame, frame.stamp) for frame in equal]
+    assert [frame is not None and frame.usable for frame in seen] == [True, True, False, False, False]
+    moving = sense.look(sample(6), 0.06)
+    assert moving is not None and moving.usable
+    never = sensing(SensingLimits(frozen_frames=None))
+    assert all(s is not None and s.usable for s in [never.look(frame, frame.stamp) for frame in equal])
+
+
+def test_what_is_missing_is_counted_from_the_last_time_it_was_there() -> None:
+    sense = sensing(SensingLimits(stale=0.2, dropout=0.3))
+    sense.begin(0.0)
+    partial = np.array([True, True, False])
+    for k in range(1, 29):
+        sense.look(sample(k, valid=ALL if k <= 5 else partial), 0.01 * k)
+        assert sense.missing(0.01 * k) is None
+    assert sense.missing(0.28 + 0.06) is None
+    gone = sense.missing(0.28 + 0.08)
+    assert gone is not None and gone.reason is StopReason.SENSOR_DROPOUT and "body 3" in gone.message
+    stale = sense.missing(0.28 + 0.21)
+    assert stale is not None and stale.reason is StopReason.SENSOR_STALE
+
+
+def test_limits_must_mean_something() -> None:
+    for change in (
+        {"max_age": 0.0},
+        {"stale": -1.0},
+        {"dropout": float("inf")},
+        {"frozen_frames": 1},
+        {"partial": "fill"},
+    ):
+        with pytest.raises(ValueRangeError, match=next(iter(change))):
+            SensingLimits(**change)  # type: ignore[arg-type]
