@@ -1,6 +1,7 @@
-"""Figures and films of finished runs. The only part of the toolkit that imports matplotlib.
+"""Figures and films of finished runs, and `python -m apcc_torch.report`. The only part that imports matplotlib.
 
-Every function takes logs and curves as they are and returns a matplotlib `Figure`; `style.save_figure` writes it.
+Every function that draws takes logs and curves as they are and returns a matplotlib `Figure`; `style.save_figure`
+writes it.
 
     style               colours, sizes, axes, atomic files
     space               three-dimensional space on flat axes
@@ -10,4 +11,17 @@ Every function takes logs and curves as they are and returns a matplotlib `Figur
     replay              a replayed recording and what the gate held back
     animation           the film of a run
     hero                the picture at the head of the README
+
+Reports on sets of runs:
+
+    collect             finds the runs below any folders, complete or not
+    run_record          one run, and the files its folder describes itself with
+    batch_points        the points of a batch
+    settings            flat settings, and which of them were swept
+    units               names and units of columns
+    run_table           the tidy table, as CSV and Parquet
+    ranking             the order of runs, and the terminal's summary
+    pictures            figures and films as they go into a page
+    page                the HTML page: one file, without network
+    __main__            the program
 """

@@ -1,14 +1,24 @@
-"""A small made-up run that the tests of the figures draw."""
+"""A small made-up run that the tests of the figures draw, and folders of runs, made up and real."""
 
 from __future__ import annotations
 
+import dataclasses
+import json
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
 import pytest
 import torch
+import yaml
 from torch import Tensor
 
+from apcc_torch.experiments import dynamic, kinematic
 from apcc_torch.model.backbone import HANGING, PCCBackbone
 from apcc_torch.report.backbone_drawing import Snapshots, marker_positions
 from apcc_torch.simulation.kinematic import KinematicLog
+from composed import changed
+
+WriteRun = Callable[..., Path]
 
 
 @pytest.fixture
@@ -50,3 +60,45 @@ def moments(arm: PCCBackbone, pi: Tensor, abscissae: Tensor, log: KinematicLog) 
         marker_positions(arm, log.q_bar, log.pi_hat, abscissae),
         log.x_d,
     )
+
+
+@pytest.fixture(scope="session")
+def write_run() -> WriteRun:
+    """Writes the folder of a made-up run: write_run(folder, {"a": {"b": 1}}, {"error_mm": 2.0}, ["a.b=1"])."""
+
+    def write(
+        folder: Path,
+        settings: Mapping[str, object] | None = None,
+        metrics: Mapping[str, float] | None = None,
+        overrides: list[str] | None = None,
+    ) -> Path:
+        (folder / ".hydra").mkdir(parents=True)
+        (folder / ".hydra" / "overrides.yaml").write_text(yaml.safe_dump(overrides or []))
+        if settings is not None:
+            (folder / "config.yaml").write_text(yaml.safe_dump(settings))
+        if metrics is not None:
+            (folder / "trajectory.npz").write_bytes(b"")
+            (folder / "versions.json").write_text(json.dumps({"torch": "1.2", "seed": 0}))
+            (folder / "metrics.json").write_text(json.dumps(metrics))
+        return folder
+
+    return write
+
+
+@pytest.fixture(scope="session")
+def real_runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder of short runs as the experiments leave them, without figures: two kinematic ones and a dynamic one."""
+    root = tmp_path_factory.mktemp("real")
+    quick = ("figures=false", "progress=false", "controller.rate=50")
+    kinds = {
+        "kinematic": [("experiment.duration=0.4", f"adaptation.gain_scale={gain}") for gain in (0.1, 1.0)],
+        "dynamic_single": [("experiment.duration=0.2", "plant.settle=0.1")],
+    }
+    run = {"kinematic": kinematic.run, "dynamic_single": dynamic.run}
+    for experiment, changes in kinds.items():
+        for k, more in enumerate(changes):
+            config = changed(experiment, *quick, *more)
+            folder = root / experiment / str(k)
+            run[experiment](config, folder)
+            (folder / "config.yaml").write_text(yaml.safe_dump(dataclasses.asdict(config)))
+    return root

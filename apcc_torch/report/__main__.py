@@ -1,0 +1,299 @@
+"""python -m apcc_torch.report: any set of finished runs as a ranked summary, tables, and one HTML page."""
+
+from __future__ import annotations
+
+import argparse
+import shutil
+import sys
+import tempfile
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+import torch
+from omegaconf import OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+from torch import Tensor
+from tqdm import tqdm
+
+from apcc_torch.configs.schema import SimulateConfig
+from apcc_torch.configs.typed import typed
+from apcc_torch.errors import ApccError, ConfigError, DataError
+from apcc_torch.experiments import dynamic, kinematic
+from apcc_torch.files import write_atomically
+from apcc_torch.report import pictures
+from apcc_torch.report.animation import save_animation
+from apcc_torch.report.backbone_drawing import Snapshots
+from apcc_torch.report.collect import collect
+from apcc_torch.report.kinematic import select_row, snapshots
+from apcc_torch.report.page.html import Page
+from apcc_torch.report.pictures import Picture
+from apcc_torch.report.ranking import HIGHER_IS_BETTER, choose_metric, ranked, remarks, summary
+from apcc_torch.report.replay import ReplayCurves, replay_figure
+from apcc_torch.report.run_record import COMPLETE, Run
+from apcc_torch.report.run_table import RunTable, differing, has_parquet, tidy, write_csv, write_parquet
+from apcc_torch.report.style import save_figure
+from apcc_torch.simulation.kinematic import KinematicLog
+from apcc_torch.simulation.metrics import backbone_error
+
+FILM_FRAMES = 120
+INSTANTS = 600
+"""Largest number of instants of a run that is drawn anew; more would not be seen."""
+PICTURE_BYTES = 10_000_000
+"""Room for figures and films in a page; the best and the worst runs' come first."""
+MANUAL = """\
+RUNS are folders of runs, whole sweeps, batches, or folders of any of them. What is left in the first one:
+
+  runs.csv       one row a run: name, status, swept keys, metrics, wall time, note; numbers to their last digit
+  runs.parquet   the same for pandas, polars or DuckDB; needs pyarrow (pip install "apcc-torch[report]")
+  report.html    one file for any browser, without network: table, sensitivity, best and worst run, figures, a film
+
+Figures are those that a run left in its folder; a few of the best and the worst runs that left none are drawn anew.
+A run that failed, was killed or cannot be read is listed with why. Benchmark folders are passed over: they have their
+own table.
+
+examples:
+  python -m apcc_torch.simulate -m experiment=kinematic velocity_filter.window=5,15,45 adaptation.gain_scale=0.1,0.3,1
+  python -m apcc_torch.report runs/sweep/DATE                          that sweep, best shape error first
+  python -m apcc_torch.report runs/sweep/* --out all                   every sweep in one table, written into all/
+  python -m apcc_torch.report runs/sweep/DATE --metric psi_mean_cm     ranked by another metric
+  python -m apcc_torch.report runs/sweep/DATE --top 3 --no-page        the table only, in a second
+"""
+
+Item = TypeVar("Item")
+
+
+def load_run(folder: Path) -> tuple[SimulateConfig, dict[str, Tensor]]:
+    """Settings and trajectory of a run's folder.
+
+    Raises:
+        DataError: config.yaml or trajectory.npz cannot be read, or the settings are not those of this version.
+    """
+    try:
+        schema = OmegaConf.structured(SimulateConfig)
+        config = typed(OmegaConf.merge(schema, OmegaConf.load(folder / "config.yaml")), SimulateConfig)  # type: ignore[arg-type]
+    except (OSError, OmegaConfBaseException, ConfigError) as error:
+        raise DataError(f"config.yaml does not hold this version's settings: {str(error).splitlines()[0]}") from error
+    try:
+        with np.load(folder / "trajectory.npz") as archive:
+            return config, {name: torch.from_numpy(archive[name]) for name in archive.files}
+    except (OSError, ValueError, EOFError) as error:  # also what a cut archive raises
+        raise DataError(f"trajectory.npz cannot be read: {error}") from error
+
+
+def draw_anew(folder: Path, into: Path, figured: bool, filmed: bool) -> None:
+    """Draws a run into `into`/figures from its settings and its trajectory.
+
+    Args:
+        folder: The run's.
+        into: Another folder.
+        figured: Whether figures are wanted.
+        filmed: Whether a film is.
+
+    Raises:
+        DataError: They cannot be read, or do not belong together.
+    """
+    config, arrays = load_run(folder)
+    kind = {"kinematic": draw_kinematic, "dynamic": draw_dynamic, "replay": draw_replay}.get(config.experiment.kind)
+    if kind is None:
+        raise DataError(f"no figures are known for experiment.kind={config.experiment.kind}")
+    try:
+        with torch.inference_mode():
+            kind(config, arrays, into / "figures", figured, filmed)
+    except KeyError as error:
+        raise DataError(f"trajectory.npz has no {error}") from error
+
+
+def draw_kinematic(config: SimulateConfig, arrays: dict[str, Tensor], into: Path, figured: bool, filmed: bool) -> None:
+    """Figures 7, 8 and 9 of row 0, and its film."""
+    outcome = kinematic.loaded(config, arrays)
+    T = outcome.log.time.shape[0]
+    kept = torch.arange(T - 1, -1, -max(1, -(-T // INSTANTS))).flip(0)
+    outcome = outcome._replace(log=KinematicLog(*(field[kept] for field in outcome.log)))
+    if figured:
+        kinematic.draw(outcome, into)
+    if filmed:
+        shots, readouts = kinematic_film(outcome)
+        save_animation(into / "animation", shots, readouts, max_frames=FILM_FRAMES)
+
+
+def kinematic_film(outcome: kinematic.Outcome) -> tuple[Snapshots, dict[str, Tensor]]:
+    """The moments of row 0, and the errors that run along."""
+    pi, backbone = outcome.pi, outcome.controller.backbone
+    log = select_row(outcome.log, 0)
+    end = float(log.time[-1])
+    shots = snapshots(log, pi, outcome.controller.feedback.abscissae, backbone, end, FILM_FRAMES)
+    at = torch.isin(log.time, shots.time)
+    error = 1e3 * backbone_error(backbone, log.q_true[at], pi, backbone, log.q_bar[at], log.pi_hat[at])
+    readouts = {"shape error (mm)": error, "end-effector error (mm)": 1e3 * (log.x_d - log.x)[at].norm(dim=-1)}
+    return shots._replace(target=log.x_d[at]), readouts
+
+
+def draw_dynamic(config: SimulateConfig, arrays: dict[str, Tensor], into: Path, figured: bool, filmed: bool) -> None:
+    """The paper's figures over all rows, and always the film of the last one: they are drawn together."""
+    name = "adaptive" if config.controller.adaptive else "standard"
+    dynamic.draw(dynamic.loaded(config, arrays), into, name)
+
+
+def draw_replay(config: SimulateConfig, arrays: dict[str, Tensor], into: Path, figured: bool, filmed: bool) -> None:
+    """What the estimator inferred from a recording; there is no true arm to film."""
+    names = ("time", "q_bar", "angular_error", "linear_error", "position_reason", "orientation_reason")
+    title = Path(config.data).name if config.data else ""
+    figure = replay_figure(ReplayCurves(*(arrays[name] for name in names)), title=title)
+    save_figure(figure, into / "replay.png")
+
+
+def illustrate(folder: Path, filmed: bool) -> list[Picture]:
+    """The figures that the run left, else drawn from its trajectory; with a film where one is wanted.
+
+    Raises:
+        DataError: There is nothing to show, or it cannot be read.
+    """
+    figures, film = pictures.stored(folder), pictures.stored_film(folder)
+    if not figures or (filmed and film is None):
+        with tempfile.TemporaryDirectory() as scratch:
+            draw_anew(folder, Path(scratch), not figures, filmed)
+            figures = figures or pictures.stored(Path(scratch))
+            film = film or pictures.stored_film(Path(scratch))
+    return [*figures, film] if filmed and film is not None else figures
+
+
+def bar(items: Iterable[Item], label: str, unit: str) -> Iterable[Item]:
+    """A progress bar, which is not there without a terminal."""
+    watched: Iterable[Item] = tqdm(items, desc=label, unit=unit, disable=None, leave=False, dynamic_ncols=True)
+    return watched
+
+
+def from_both_ends(order: Sequence[int]) -> Iterator[int]:
+    """Best, worst, second best, second worst, …"""
+    half = -(-len(order) // 2)
+    for best, worst in zip(order[:half], reversed(order[half:]), strict=False):
+        yield from (best, worst)
+    if len(order) % 2:
+        yield order[half - 1]
+
+
+def illustrate_all(
+    runs: Sequence[Run], order: Sequence[int], most: int, films: int, fresh: int
+) -> dict[int, list[Picture]]:
+    """Row -> pictures of up to `most` runs, the first `films` of them with a film, while there is room in a page.
+
+    At most `fresh` runs that left no figures are drawn anew, which takes seconds each; the best and the worst first.
+
+    A run that cannot be illustrated is told on the terminal, and the others go on.
+    """
+    candidates = [(row, folder) for row in from_both_ends(order) if (folder := runs[row].folder) is not None]
+    found: dict[int, list[Picture]] = {}
+    room = PICTURE_BYTES
+    bare = [row for row, folder in candidates if not any((folder / "figures").glob("*.png"))]
+    chosen = [(row, folder) for row, folder in candidates if row not in bare[fresh:]]
+    for count, (row, folder) in enumerate(bar(chosen[:most], "figures", "run")):
+        try:
+            shown = illustrate(folder, count < films)
+        except ApccError as error:
+            warn(f"{runs[row].name} is shown without figures: {error}")
+            continue
+        room -= sum(len(picture.uri) for picture in shown)
+        if room < 0:
+            break
+        found[row] = shown
+    return found
+
+
+def default_title(runs: Sequence[Run], table: RunTable) -> str:
+    """What was swept, in a line."""
+    experiments = dict.fromkeys(
+        str(run.settings["experiment.name"]) for run in runs if "experiment.name" in run.settings
+    )
+    swept = [column.name for column in differing(table)]
+    what = " and ".join(experiments) if 0 < len(experiments) < 3 else f"{len(table)} runs"
+    if not swept:
+        return f"{what}: {runs[0].name}" if len(runs) == 1 else what
+    return f"{what} over " + (" and ".join(swept) if len(swept) < 4 else f"{len(swept)} settings")
+
+
+def footer(runs: Sequence[Run]) -> str:
+    """Versions that all runs share, as a line; those in which they differ are said to differ."""
+    known: dict[str, set[str]] = {}
+    for run in runs:
+        for name, version in run.versions.items():
+            known.setdefault(name, set()).add(str(version))
+    told = [f"{name} {found.pop()}" if len(found) == 1 else f"{name} differs" for name, found in known.items()]
+    return "Computed with " + ", ".join(told) + "." if told else ""
+
+
+def warn(text: str) -> None:
+    """One line on the terminal's error stream, above any progress bar."""
+    tqdm.write(text, file=sys.stderr)
+
+
+def arguments(argv: Sequence[str] | None) -> argparse.Namespace:
+    """The command line."""
+    parser = argparse.ArgumentParser(
+        prog="python -m apcc_torch.report",
+        description="Collects runs into one table, ranks them, and writes a page to explore them.",
+        epilog=MANUAL,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("runs", nargs="+", type=Path, metavar="RUNS", help="folders of runs, sweeps or batches")
+    parser.add_argument("--metric", help="metric that ranks (default: shape_error_mean_mm, where the runs have it)")
+    parser.add_argument("--descending", action="store_true", help="the largest value is the best")
+    parser.add_argument("--top", type=int, default=10, metavar="N", help="runs the terminal shows (default: 10)")
+    parser.add_argument("--out", type=Path, metavar="DIR", help="where the files go (default: the first of RUNS)")
+    parser.add_argument("--title", help="heading of the page (default: what was swept)")
+    parser.add_argument("--figures", type=int, default=24, metavar="N", help="runs shown with figures (default: 24)")
+    parser.add_argument("--draw", type=int, default=4, metavar="N", help="of them, runs drawn anew (default: 4)")
+    parser.add_argument("--films", type=int, default=2, metavar="N", help="of them, runs with a film (default: 2)")
+    parser.add_argument("--no-page", action="store_true", help="tables only")
+    given = parser.parse_args(argv)
+    for name in ("top", "figures", "draw", "films"):
+        if getattr(given, name) < (name == "top"):
+            parser.error(f"--{name} must be {'one' if name == 'top' else 'zero'} or more, got {getattr(given, name)}")
+    return given
+
+
+def report(given: argparse.Namespace) -> list[Path]:
+    """Collects, prints the summary and writes the files; returns their paths.
+
+    Raises:
+        ApccError: There is no run, or an argument has no meaning.
+    """
+    collection = collect(given.runs, lambda folders: bar(folders, "reading", "run"))
+    for line in collection.skipped:
+        warn(line)
+    runs = collection.runs
+    table = tidy(runs)
+    out: Path = given.out or given.runs[0]
+    written = [write_csv(table, out / "runs.csv")]
+    if has_parquet():
+        written.append(write_parquet(table, out / "runs.parquet"))
+    else:
+        warn('runs.parquet is not written, it needs pyarrow: pip install "apcc-torch[report]"; runs.csv holds the same')
+    if all(run.status != COMPLETE for run in runs):
+        sys.stdout.write("\n".join(remarks(table)[1:]) + "\n\n")
+    metric = choose_metric(table, given.metric)
+    descending = given.descending or metric in HIGHER_IS_BETTER
+    sys.stdout.write(summary(table, metric, given.top, descending, shutil.get_terminal_size((120, 24)).columns) + "\n")
+    if not given.no_page:
+        found = illustrate_all(runs, ranked(table, metric, descending), given.figures, given.films, given.draw)
+        folders = [row for row, run in enumerate(runs) if run.folder is not None and run.status == COMPLETE]
+        title = given.title or default_title(runs, table)
+        page = Page(title, table, metric, descending, found, folders, footer(runs))
+        written.append(write_atomically(out / "report.html", page.html()))
+    return written
+
+
+def main(argv: Sequence[str] | None = None) -> None:
+    """Console entry point."""
+    try:
+        written = report(arguments(argv))
+    except ApccError as error:
+        # What the user can mend: one sentence, no stack.
+        sys.stderr.write(f"{error}\n")
+        sys.exit(2)
+    sys.stdout.write("\nwritten: " + ", ".join(str(path) for path in written) + "\n")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,93 @@
+"""Figures and films of runs as they go into a page: small, and inside it as data URIs."""
+
+from __future__ import annotations
+
+import base64
+import io
+from pathlib import Path
+from typing import NamedTuple
+
+from PIL import Image, UnidentifiedImageError
+
+from apcc_torch.errors import DataError
+
+CAPTIONS = {
+    "figure_7.png": "Arm and model, tip error, length, shape error (Fig. 7)",
+    "figure_8.png": "Estimated rest lengths (Fig. 8)",
+    "figure_9.png": "Sensor errors (Fig. 9)",
+    "stroboscopic.png": "Arm and model over time",
+    "shape_error.png": "Shape error (Figs. 11, 15, 17)",
+    "end_effector.png": "End-effector error",
+    "psi.png": "Secondary objective (Figs. 12, 18)",
+    "parameters.png": "Estimated rest lengths (Fig. 13)",
+    "sensors.png": "Sensor errors (Figs. 16, 19)",
+    "mapping_error.png": "Actuation mismatch (Figs. 30, 34)",
+    "replay.png": "Inferred shape, residuals, and what the gate held back",
+}
+"""Figure file -> what it shows, with the paper's number; the order in which a page shows them."""
+FILMS = {".mp4": "video/mp4", ".gif": "image/gif"}
+WIDEST = 1500
+"""Pixels of the widest picture."""
+QUALITY = 80
+
+
+class Picture(NamedTuple):
+    """A figure, or a film, inside a page: the file's stem, what it shows, its data URI, its pixels."""
+
+    name: str
+    caption: str
+    uri: str
+    film: bool = False
+    width: int = 0
+    height: int = 0
+
+
+def data_uri(content: bytes, kind: str) -> str:
+    """The content as a data URI of a media type."""
+    return f"data:{kind};base64,{base64.b64encode(content).decode('ascii')}"
+
+
+def picture(name: str, content: bytes) -> Picture:
+    """A PNG as a picture of a page: WebP, which is a third as large.
+
+    Args:
+        name: Its file name.
+        content: The file.
+
+    Raises:
+        DataError: It is no picture.
+    """
+    try:
+        image = Image.open(io.BytesIO(content)).convert("RGB")
+    except (UnidentifiedImageError, OSError) as error:
+        raise DataError(f"{name} is no picture") from error
+    if image.width > WIDEST:
+        image = image.resize((WIDEST, round(image.height * WIDEST / image.width)))
+    buffer = io.BytesIO()
+    image.save(buffer, "WEBP", quality=QUALITY, method=2)
+    stem = Path(name).stem
+    caption = CAPTIONS.get(name, stem.replace("_", " "))
+    return Picture(stem, caption, data_uri(buffer.getvalue(), "image/webp"), False, *image.size)
+
+
+def stored(folder: Path) -> list[Picture]:
+    """The figures that a run left in its folder, the known ones first; empty where it left none.
+
+    Raises:
+        DataError: One of them is no picture.
+    """
+    rank = {name: k for k, name in enumerate(CAPTIONS)}
+    paths = sorted((folder / "figures").glob("*.png"), key=lambda path: (rank.get(path.name, len(rank)), path.name))
+    return [picture(path.name, path.read_bytes()) for path in paths]
+
+
+def film(path: Path) -> Picture:
+    """A film file as it is."""
+    return Picture(path.stem, "The run as a film", data_uri(path.read_bytes(), FILMS[path.suffix]), True)
+
+
+def stored_film(folder: Path) -> Picture | None:
+    """The film that a run left in its folder."""
+    found = [path for path in sorted((folder / "figures").glob("animation.*")) if path.suffix in FILMS]
+    # An MP4 is the smaller file.
+    return film(max(found, key=lambda path: path.suffix == ".mp4")) if found else None

@@ -1,0 +1,142 @@
+"""Which runs are best: their order by a metric, and the summary that a terminal shows."""
+
+from __future__ import annotations
+
+import difflib
+import math
+import textwrap
+from collections.abc import Sequence
+
+from apcc_torch.errors import ValueRangeError
+from apcc_torch.report.run_record import BROKEN, COMPLETE, FAILED, PRUNED, UNFINISHED
+from apcc_torch.report.run_table import METRIC, WALL, Column, RunTable, differing
+
+HEADLINES = (
+    "shape_error_mean_mm",
+    "end_effector_error_end_mm",
+    "end_effector_error_last5s_max_mm",
+    "shape_error_end_mm",
+    "shape_error_last5s_max_mm",
+    "pi_error_end_max_mm",
+    "psi_mean_cm",
+    "sensor_error_linear_mean_mm",
+    "settled_share",
+    "settling_mean_s",
+)
+"""The metrics that say most, first the one that ranks unless another is asked for."""
+HIGHER_IS_BETTER = ("settled_share",)
+LISTED = 10
+"""Most runs that the terminal remarks on."""
+
+
+def choose_metric(table: RunTable, asked: str | None = None) -> str:
+    """The metric that ranks: the one asked for, else the first headline that any run has, else the first metric.
+
+    Raises:
+        ValueRangeError: No run has the metric asked for, or any.
+    """
+    names = [column.name for column in table.of_kind(METRIC) if any(cell is not None for cell in column.cells)]
+    if asked in names:
+        return asked
+    if asked is not None:
+        near = difflib.get_close_matches(asked, names, 3, 0.4) or names[:3]
+        raise ValueRangeError(f"--metric must be a metric of the runs, such as {', '.join(near)}; got {asked!r}")
+    if not names:
+        raise ValueRangeError("RUNS must hold at least one complete run, to rank by its metrics; none is complete")
+    return next((name for name in HEADLINES if name in names), names[0])
+
+
+def headline_columns(table: RunTable, metric: str) -> list[Column]:
+    """The ranking metric and the headlines the runs have, then wall time; diverged rows where there are any."""
+    present = {column.name: column for column in table.of_kind(METRIC)}
+    diverged = present.get("diverged_rows")
+    names = [metric, *HEADLINES]
+    if diverged is not None and any(diverged.cells):
+        names.insert(1, "diverged_rows")
+    return [present[name] for name in dict.fromkeys([*names, WALL]) if name in present]
+
+
+def ranked(table: RunTable, metric: str, descending: bool = False) -> list[int]:
+    """Row numbers of the complete runs from best to worst; runs without a finite value come last."""
+    cells = table.column(metric).cells
+    complete = [k for k, status in enumerate(table.column("status").cells) if status == COMPLETE]
+
+    def place(k: int) -> tuple[bool, float]:
+        value = cells[k]
+        finite = isinstance(value, int | float) and math.isfinite(value)
+        return (not finite, 0.0 if not finite else (-1.0 if descending else 1.0) * float(value))  # type: ignore[arg-type]
+
+    return sorted(complete, key=place)
+
+
+def number_text(value: object) -> str:
+    """A cell for people: four significant digits, whole numbers whole, a dash for none."""
+    if value is None:
+        return "–"
+    if isinstance(value, float):
+        return f"{value:.4g}"
+    return str(value)
+
+
+def lines(columns: Sequence[tuple[str, list[str], bool]], width: int) -> list[str]:
+    """Columns of (head, cells, whether right-aligned) as lines of text; those that do not fit are left out.
+
+    A head of several words is broken over lines, so that the column is little wider than its cells.
+    """
+    kept: list[tuple[list[str], list[str], bool, int]] = []
+    used = 0
+    for head, cells, right in columns:
+        size = max(len(text) for text in (*head.split(" "), *cells))
+        stack = textwrap.wrap(head, max(size, 11), break_on_hyphens=False)
+        size = max(len(text) for text in (*stack, *cells))
+        if kept and used + 2 + size > width:
+            continue
+        used += size + (2 if kept else 0)
+        kept.append((stack, cells, right, size))
+    depth = max(len(stack) for stack, _, _, _ in kept)
+    padded = [
+        [text.rjust(size) if right else text.ljust(size) for text in [""] * (depth - len(stack)) + stack]
+        + ["-" * size]
+        + [text.rjust(size) if right else text.ljust(size) for text in cells]
+        for stack, cells, right, size in kept
+    ]
+    return ["  ".join(row).rstrip() for row in zip(*padded, strict=True)]
+
+
+def summary(table: RunTable, metric: str, top: int = 10, descending: bool = False, width: int = 100) -> str:
+    """The ranked runs as plain text: the best `top`, the worst one, and remarks on runs that are not whole.
+
+    Args:
+        table: The runs.
+        metric: Ranks them.
+        top: How many to show.
+        descending: Whether the largest value is the best.
+        width: Characters a line; columns that do not fit are left out, the least telling first.
+    """
+    order = ranked(table, metric, descending)
+    shown = order if len(order) <= top + 1 else [*order[:top], order[-1]]
+    place = {k: str(n + 1) for n, k in enumerate(order)}
+    first, *others = headline_columns(table, metric)
+    runs = table.column("run")
+    columns = [("rank", [place[k] for k in shown], True), ("run", [str(runs.cells[k]) for k in shown], False)]
+    for column in [*differing(table), first, *others]:
+        head = column.name.replace("_", " ") if column.kind == METRIC else column.name.replace(".", ". ")
+        columns.append((head, [number_text(column.cells[k]) for k in shown], column.number))
+    body = lines(columns, width)
+    if len(shown) < len(order):
+        body.insert(-1, f"({len(order) - len(shown)} more)")
+    way = "largest" if descending else "smallest"
+    head = f"{len(order)} complete of {len(table)} runs, by {metric}, {way} first"
+    return "\n".join([head, "", *body, *remarks(table)])
+
+
+def remarks(table: RunTable) -> list[str]:
+    """A line for each run that is not complete or lacks something, failed ones first."""
+    cells = zip(*(table.column(name).cells for name in ("run", "status", "note")), strict=True)
+    order = (FAILED, BROKEN, UNFINISHED, PRUNED, COMPLETE)
+    rows = sorted((row for row in cells if row[1] != COMPLETE or row[2]), key=lambda row: order.index(str(row[1])))
+    if not rows:
+        return []
+    told = [f"  {run}: {status}, {note}" if note else f"  {run}: {status}" for run, status, note in rows[:LISTED]]
+    more = [f"  … and {len(rows) - LISTED} more"] if len(rows) > LISTED else []
+    return ["", f"to look at ({len(rows)}):", *told, *more]

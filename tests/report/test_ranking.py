@@ -1,0 +1,83 @@
+"""The order of runs, and the summary as a terminal shows it."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from apcc_torch.errors import ValueRangeError
+from apcc_torch.report.ranking import choose_metric, headline_columns, lines, number_text, ranked, summary
+from apcc_torch.report.run_record import Run
+from apcc_torch.report.run_table import RunTable, tidy
+
+
+def table_of(values: list[float], **more: float) -> RunTable:
+    runs = [
+        Run(f"r{k}", "complete", {"a.gain": k}, metrics={"shape_error_mean_mm": value, **more, "wall_s": 1.0})
+        for k, value in enumerate(values)
+    ]
+    return tidy([*runs, Run("x", "failed", {"a.gain": 99}, note="gain is too high")])
+
+
+@given(st.lists(st.floats(), min_size=1, max_size=8), st.booleans())
+def test_finite_values_come_first_in_order(values: list[float], descending: bool) -> None:
+    order = ranked(table_of(values), "shape_error_mean_mm", descending)
+    assert sorted(order) == list(range(len(values)))
+    finite = [values[k] for k in order if math.isfinite(values[k])]
+    assert finite == sorted(finite, reverse=descending)
+    assert all(math.isfinite(values[k]) for k in order[: len(finite)])
+
+
+def test_the_metric_is_the_one_asked_for_or_the_most_telling() -> None:
+    table = table_of([1.0], psi_mean_cm=2.0)
+    assert choose_metric(table) == "shape_error_mean_mm" and choose_metric(table, "psi_mean_cm") == "psi_mean_cm"
+    with pytest.raises(ValueRangeError, match=r"--metric must be .* such as psi_mean_cm.*; got 'psi_mean'"):
+        choose_metric(table, "psi_mean")
+    assert choose_metric(tidy([Run("a", "complete", metrics={"other": 1.0})])) == "other"
+    with pytest.raises(ValueRangeError, match="none is complete"):
+        choose_metric(tidy([Run("a", "failed")]))
+
+
+def test_diverged_rows_are_shown_where_there_are_any() -> None:
+    def shown(count: float) -> list[str]:
+        return [column.name for column in headline_columns(table_of([1.0], diverged_rows=count), "shape_error_mean_mm")]
+
+    assert "diverged_rows" in shown(2.0) and "diverged_rows" not in shown(0.0)
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [(None, "–"), (3.0, "3"), (0.123456, "0.1235"), (12345.6, "1.235e+04"), (5, "5"), ("pose", "pose")],
+)
+def test_numbers_for_people(value: object, text: str) -> None:
+    assert number_text(value) == text
+
+
+@given(st.integers(30, 200))
+def test_lines_are_aligned_and_fit(width: int) -> None:
+    columns = [
+        ("run", ["a", "long name"], False),
+        ("shape error mean mm", ["1", "22.5"], True),
+        ("k", ["x", "y"], True),
+    ]
+    head, *rest = lines(columns, width)
+    assert all(len(line) <= width for line in (head, *rest))
+    rule = next(line for line in rest if line.startswith("-"))
+    edges = [k for k, letter in enumerate(rule) if letter == "-" and rule[k + 1 : k + 2] in ("", " ")]
+    first, second = rest[-2:]
+    assert first.startswith("a ") and second.startswith("long name")
+    if len(edges) > 1:  # numbers end where their rule ends
+        assert first[: edges[1] + 1].endswith(" 1") and second[: edges[1] + 1].endswith("22.5")
+
+
+def test_the_summary_names_the_best_the_worst_and_what_failed() -> None:
+    text = summary(table_of([3.0, 1.0, 2.0, 4.0, 5.0]), "shape_error_mean_mm", top=2)
+    rows = text.splitlines()
+    assert rows[0] == "5 complete of 6 runs, by shape_error_mean_mm, smallest first"
+    ranks = [row.split()[:3] for row in rows[1:] if row.strip()[:1].isdigit()]
+    assert ranks == [["1", "r1", "1"], ["2", "r2", "2"], ["5", "r4", "4"]]
+    assert "(2 more)" in rows and rows[-1] == "  x: failed, gain is too high"
+    assert "largest first" in summary(table_of([1.0]), "shape_error_mean_mm", descending=True)
