@@ -4,56 +4,51 @@ from __future__ import annotations
 
 import logging
 import sys
-from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import hydra
-import torch
 from hydra.core.config_store import ConfigStore
 from hydra.core.hydra_config import HydraConfig
-from omegaconf import DictConfig, OmegaConf
+from hydra.types import RunMode
+from omegaconf import DictConfig
 
 from apcc_torch.conf_path import conf_path
-from apcc_torch.configs.build import choice
 from apcc_torch.configs.schema import SimulateConfig
-from apcc_torch.configs.typed import typed
 from apcc_torch.errors import ApccError
-from apcc_torch.experiments import dynamic, kinematic, replay
-from apcc_torch.files import write_atomically
+from apcc_torch.experiments import batch
+from apcc_torch.experiments.folder import metrics_text
+from apcc_torch.experiments.run import objective_in, run, settings_of
+from apcc_torch.experiments.sweep_job import run_job
+from apcc_torch.points import batch_points, with_batch
+from apcc_torch.sweep import Sweep
 
 log = logging.getLogger("apcc_torch.simulate")
-
-EXPERIMENTS: dict[str, Callable[[SimulateConfig, Path], dict[str, float]]] = {
-    "dynamic": dynamic.run,
-    "kinematic": kinematic.run,
-    "replay": replay.run,
-}
 
 ConfigStore.instance().store(name="simulate_schema", node=SimulateConfig)
 
 
-def run(cfg: DictConfig, folder: Path) -> dict[str, float]:
-    """Runs the configured experiment into `folder` and returns its metrics."""
-    config = typed(cfg, SimulateConfig)
-    if config.threads is not None:
-        torch.set_num_threads(config.threads)
-    kind = choice("experiment.kind", config.experiment.kind, tuple(EXPERIMENTS))
-    write_atomically(folder / "config.yaml", OmegaConf.to_yaml(cfg, resolve=True))
-    return EXPERIMENTS[kind](config, folder)
-
-
 @hydra.main(version_base="1.3", config_path=conf_path(), config_name="simulate")
-def _hydra_main(cfg: DictConfig) -> None:
-    folder = Path(HydraConfig.get().runtime.output_dir)
+def _hydra_main(cfg: DictConfig) -> float | None:
+    """One run, or one job of a sweep; returns the objective, which hydra's sweepers lower."""
+    hydra_config = HydraConfig.get()
+    folder = Path(hydra_config.runtime.output_dir)
+    overrides = list(hydra_config.overrides.task)
+    points = None
+    if cfg.batch is not None:
+        points = partial(batch_points, cfg, overrides, str(hydra_config.job.config_name))
+    if hydra_config.mode == RunMode.MULTIRUN:
+        return run_job(cfg, folder, overrides, f"{hydra_config.job.name}.log", points)
     try:
-        metrics = run(cfg, folder)
+        config = settings_of(cfg, folder)
+        metrics = run(config, folder) if points is None else batch.run(config, points(), folder)
+        value = objective_in(folder, config.objective)
     except ApccError as error:
         # A wrong setting is the user's to mend: one sentence, no stack.
         log.error("%s", error)
         sys.exit(2)
-    width = max(len(name) for name in metrics)
-    lines = "\n".join(f"  {name:<{width}}  {value:.6g}" for name, value in metrics.items())
-    log.info("results in %s\n%s", folder, lines)
+    log.info("results in %s\n%s", folder, metrics_text(metrics))
+    return value
 
 
 def main() -> None:
@@ -62,7 +57,16 @@ def main() -> None:
     if {"-h", "--help"} & set(asked) and not any(argument.startswith("experiment=") for argument in asked):
         # The manual ends with every key and its value, and only a chosen experiment has them all.
         sys.argv.append("experiment=kinematic")
-    _hydra_main()
+    try:
+        sys.argv[1:] = with_batch(sys.argv[1:])
+    except ApccError as error:
+        sys.exit(f"apcc_torch.simulate: {error}")
+    try:
+        _hydra_main()
+    finally:
+        code = Sweep.close()
+    if code:
+        sys.exit(code)
 
 
 if __name__ == "__main__":

@@ -24,7 +24,7 @@ MAX_LINES = 330
 LAYERS: tuple[tuple[str, ...], ...] = (
     ("errors",),
     ("files",),
-    ("shapes", "conf_path"),
+    ("settings", "shapes", "conf_path"),
     ("linalg",),
     ("lie",),
     ("model",),
@@ -35,13 +35,14 @@ LAYERS: tuple[tuple[str, ...], ...] = (
     ("envs", "hardware", "report"),
     ("configs",),
     ("experiments",),
+    ("points", "sweep"),
     ("simulate",),
-    ("benchmark", "identify", "report.__main__", "robot"),
+    ("benchmark", "identify", "report.__main__", "robot", "robot_log"),
 )
 
 # Who alone may import a heavy or program-only library.
 RESTRICTED: dict[str, frozenset[str]] = {
-    "hydra": frozenset({"benchmark", "identify", "report.__main__", "robot", "simulate"}),
+    "hydra": frozenset({"benchmark", "identify", "points", "robot", "simulate", "sweep"}),
     "matplotlib": frozenset({"report", "report.__main__"}),
 }
 

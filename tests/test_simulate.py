@@ -3,25 +3,24 @@
 from __future__ import annotations
 
 import json
-import os
+import re
 import subprocess
 import sys
+import zipfile
 from pathlib import Path
 
 import pytest
 
-import apcc_torch
+import commands
+from apcc_torch.conf_path import conf_path
 
-ROOT = Path(apcc_torch.__file__).resolve().parents[1]
+HELP_GROUPS = ("experiment", "state", "robot", "plant", "sensors", "feedback", "velocity_filter", "controller")
+HELP_GROUPS += ("adaptation", "sweep", "hydra/launcher")
 
 
 def simulate(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
-    """Runs the command from an empty folder, as if installed, with its results in `folder`/run."""
-    folder.mkdir(parents=True, exist_ok=True)
-    env = os.environ | {"PYTHONPATH": os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])}
-    env.pop("HYDRA_FULL_ERROR", None)
-    command = [sys.executable, "-m", "apcc_torch.simulate", *arguments, f"hydra.run.dir={folder / 'run'}"]
-    return subprocess.run(command, cwd=folder, env=env, capture_output=True, text=True, check=False, timeout=300)
+    """Runs the command from an empty folder, with its results in `folder`/run."""
+    return commands.simulate(folder, *arguments, f"hydra.run.dir={folder / 'run'}")
 
 
 def test_a_run_leaves_a_whole_folder_and_says_where(tmp_path: Path) -> None:
@@ -72,6 +71,72 @@ def test_a_wrong_or_missing_key_is_named_and_nothing_is_written(
 def test_help_is_the_manual(tmp_path: Path) -> None:
     done = simulate(tmp_path, "--help")
     assert done.returncode == 0, done.stderr
-    for part in ("experiment:", "dynamic_run_2", "python -m apcc_torch.simulate", "hydra.run.dir", "gamma"):
+    for part in (
+        "experiment ",
+        "dynamic_run_2",
+        "python -m apcc_torch.simulate",
+        "hydra.run.dir",
+        "gamma",
+        "metrics.json",
+    ):
         assert part in done.stdout, part
     assert not list(tmp_path.iterdir())
+    # Every group of this program with every choice, and no other program's.
+    manual = done.stdout.partition("What can be chosen")[2].partition("Examples:")[0]
+    words = set(re.findall(r"[\w/]+", manual))
+    for group in HELP_GROUPS:
+        assert group in words
+        names = {path.stem for path in (Path(conf_path()) / group).glob("*.yaml")}
+        assert names and names <= words, f"{group}: {names - words}"
+    assert "grid" not in words
+
+
+def test_the_shell_completes_names(tmp_path: Path) -> None:
+    installed = commands.simulate(tmp_path, "-sc", "install=bash")
+    assert installed.returncode == 0 and "complete " in installed.stdout, installed.stderr
+    for line, wanted in {
+        "apcc-simulate experiment=dyn": {"experiment=dynamic_run_1", "experiment=dynamic_run_2"},
+        "apcc-simulate sweep=": {"sweep=gains_and_window", "sweep=optuna_gains"},
+        "apcc-simulate experiment=kinematic controller.n": {"controller.null_gain="},
+    }.items():
+        env = commands.environment() | {"COMP_LINE": line, "COMP_POINT": str(len(line))}
+        asked = commands.command("-sc", "query=bash")
+        done = subprocess.run(asked, cwd=tmp_path, env=env, capture_output=True, text=True, check=False, timeout=300)
+        assert wanted <= set(done.stdout.split()), done.stdout + done.stderr
+
+
+OWN = """# @package _global_
+defaults:
+  - kinematic
+  - _self_
+controller:
+  gamma: 33.0
+experiment:
+  name: mine
+  duration: 0.1
+"""
+
+
+@pytest.fixture(params=["checkout", "wheel"])
+def package(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Where the package is imported from: the checkout, or an unpacked wheel of it."""
+    if request.param == "checkout":
+        return commands.ROOT
+    builder = pytest.importorskip("hatchling.builders.wheel").WheelBuilder(str(commands.ROOT))
+    folder = tmp_path_factory.mktemp("wheel")
+    wheel = next(builder.build(directory=str(folder), versions=["standard"]))
+    zipfile.ZipFile(wheel).extractall(folder / "installed")
+    return folder / "installed"
+
+
+def test_a_folder_of_ones_own_adds_configurations(package: Path, tmp_path: Path) -> None:
+    (tmp_path / "own" / "experiment").mkdir(parents=True)
+    (tmp_path / "own" / "experiment" / "mine.yaml").write_text(OWN)
+    arguments = ("-cd", "own", "experiment=mine", "figures=false", "controller.rate=50", "hydra.run.dir=run")
+    done = commands.simulate(tmp_path, *arguments, package=package)
+    assert done.returncode == 0, done.stderr
+    config = (tmp_path / "run" / "config.yaml").read_text()
+    assert "name: mine" in config and "gamma: 33.0" in config
+    where = [sys.executable, "-c", "import apcc_torch; print(apcc_torch.__file__)"]
+    found = subprocess.run(where, cwd=tmp_path, env=commands.environment(package), capture_output=True, text=True)
+    assert Path(found.stdout.strip()).is_relative_to(package), "another package was tried"

@@ -21,12 +21,16 @@ from apcc_torch.model.dynamics import SoftArmDynamics
 from apcc_torch.model.friction import TendonTransmission
 from apcc_torch.model.stiffness import scaled_stiffness
 from apcc_torch.model.tendons import TendonRouting, rack_routing
+from apcc_torch.settings import Setting, aligned
 from apcc_torch.simulation.dynamic import Plant
 from apcc_torch.simulation.sensors import PoseSensors
 from apcc_torch.simulation.trajectory import SetPoint, SineTrajectory
 
 DTYPES = {"float64": torch.float64, "float32": torch.float32}
 BASES = {"hanging": HANGING, "standing": ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))}
+
+SUBSETS = {"all": slice(None), "training": slice(0, None, 2), "held_out": slice(1, None, 2)}
+"""Set-points by their index: tuning may look at those with even index only."""
 
 
 def choice(key: str, value: str, options: Sequence[str]) -> str:
@@ -41,38 +45,52 @@ def choice(key: str, value: str, options: Sequence[str]) -> str:
 
 
 class Builder:
-    """Builds the objects of one run, all of one dtype and device.
+    """Builds the objects of one run, or of several runs side by side, all of one dtype and device.
 
     Args:
-        config: The resolved settings.
+        config: The resolved settings; of several runs, from `configs.batch.stacked`.
+        points: How many runs; None for one without a dimension of its own. With P, leading shapes are (P, rows).
 
     Raises:
         ConfigError: dtype, device or another setting has no meaning.
     """
 
-    def __init__(self, config: SimulateConfig) -> None:
+    def __init__(self, config: SimulateConfig, points: int | None = None) -> None:
         self.config = config
+        self.points = points
         self.dtype = DTYPES[choice("dtype", config.dtype, tuple(DTYPES))]
         if config.device.startswith("cuda") and not torch.cuda.is_available():
             raise ConfigError(f"device is {config.device!r}, but torch finds no CUDA device")
         self.device = torch.device(config.device)
 
-    def vector(self, key: str, values: Sequence[float], size: int | None = None) -> Tensor:
-        """A list of numbers as a tensor (size,).
+    def vector(self, key: str, values: Sequence[float] | Tensor, size: int | None = None) -> Tensor:
+        """A list of numbers as a tensor (size,); one list a run is (P, 1, size) already.
 
         Raises:
             ConfigError: The list has another length, or is not a list of numbers.
         """
-        try:
-            tensor = torch.tensor([float(v) for v in values], dtype=self.dtype, device=self.device)
-        except (TypeError, ValueError) as error:
-            raise ConfigError(f"{key} must be a list of numbers, got {values!r}") from error
-        if size is not None and tensor.shape[0] != size:
-            raise ConfigError(f"{key} must have {size} entries, got {tensor.shape[0]}")
+        if isinstance(values, Tensor):
+            tensor = values
+        else:
+            try:
+                tensor = torch.tensor([float(v) for v in values], dtype=self.dtype, device=self.device)
+            except (TypeError, ValueError) as error:
+                raise ConfigError(f"{key} must be a list of numbers, got {values!r}") from error
+        if size is not None and tensor.shape[-1] != size:
+            raise ConfigError(f"{key} must have {size} entries, got {tensor.shape[-1]}")
         return tensor
 
-    def gain(self, key: str, value: object, size: int) -> Tensor:
-        """A number or a list of `size` numbers as a 0-d or (size,) tensor."""
+    def gain(self, key: str, value: object, size: int, scale: Setting = 1.0) -> Tensor:
+        """A number or a list of `size` numbers, scaled: 0-d or (size,); of several runs (P, 1, size, size)."""
+        one = value[:, :, None].expand(-1, -1, size) if isinstance(value, Tensor) and value.dim() == 2 else value
+        diagonal = self._diagonal(key, one, size)
+        if diagonal.dim() < 2 and not isinstance(scale, Tensor):
+            return diagonal * scale
+        return torch.diag_embed(diagonal.expand(*diagonal.shape[:-1], size) * aligned(scale, 1))
+
+    def _diagonal(self, key: str, value: object, size: int) -> Tensor:
+        if isinstance(value, Tensor):
+            return self.vector(key, value, size)
         if isinstance(value, bool | str):
             raise ConfigError(f"{key} must be a number or a list of {size} numbers, got {value!r}")
         if isinstance(value, int | float):
@@ -84,7 +102,8 @@ class Builder:
     @property
     def n_sections(self) -> int:
         """Sections of the model."""
-        return len(self.config.robot.rest_lengths)
+        lengths = self.config.robot.rest_lengths
+        return int(lengths.shape[-1]) if isinstance(lengths, Tensor) else len(lengths)
 
     def rest_lengths(self) -> Tensor:
         """(n_b,) nominal rest lengths of the model, m: the true ones in the kinematic simulation."""
@@ -94,14 +113,14 @@ class Builder:
         return lengths
 
     def first_estimate(self) -> Tensor:
-        """(n_b,) pi_hat at the start, m."""
+        """(n_b,) pi_hat at the start, m; of several runs (P, 1, n_b)."""
         values = self.config.robot.initial_estimate
-        if values is None:
-            return self.rest_lengths()
-        estimate = self.vector("robot.initial_estimate", values, self.n_sections)
+        estimate = self.rest_lengths()
+        if values is not None:
+            estimate = self.vector("robot.initial_estimate", values, self.n_sections)
         if not bool((estimate > 0).all()):
             raise ConfigError(f"robot.initial_estimate must be positive, got {values}")
-        return estimate
+        return estimate if self.points is None else estimate.expand(self.points, 1, self.n_sections)
 
     def base_rotation(self) -> Tensor:
         """(3, 3) base of the arm in the world."""
@@ -135,14 +154,14 @@ class Builder:
 
         law = AdaptiveLaw(
             n_b,
-            self.gain("controller.gamma", c.controller.gamma, n_b) * c.adaptation.gain_scale,
+            self.gain("controller.gamma", c.controller.gamma, n_b, c.adaptation.gain_scale),
             c.adaptation.regressor,
             bound("adaptation.lower", c.adaptation.lower),
             bound("adaptation.upper", c.adaptation.upper),
             c.adaptation.rate,
             c.adaptation.normalisation,
             c.adaptation.dead_zone,
-            c.adaptation.reach,
+            self._reach(c.adaptation.reach),
         )
         f = c.feedback
         feedback = StateFeedback(
@@ -176,6 +195,12 @@ class Builder:
             elongation_bound=k.elongation_bound,
         )
 
+    def _reach(self, reach: Setting | None) -> Setting | None:
+        """`adaptation.reach` as the law takes it; of several runs (P, 1, n_b), the reach of all sections last."""
+        if not isinstance(reach, Tensor):
+            return reach
+        return torch.nn.functional.pad(reach.unsqueeze(-1), (self.n_sections - 1, 0))
+
     def sine(self) -> SineTrajectory:
         """Eq. (51)'s trajectory."""
         e = self.config.experiment
@@ -185,33 +210,45 @@ class Builder:
         return SineTrajectory(self.vector("experiment.r_0", e.r_0, 3), self.vector("experiment.A", e.A, 3), omega)
 
     def setpoints(self) -> Tensor:
-        """(S, 3) set-points, m."""
+        """(S, 3) set-points of the chosen subset, m; of several runs with their own (P, S, 3)."""
         points = self.config.experiment.setpoints
+        if isinstance(points, Tensor):
+            return points[:, SUBSETS[choice("experiment.subset", self.config.experiment.subset, tuple(SUBSETS))]]
         if not points:
             raise ConfigError("experiment.setpoints must list at least one point [x, y, z]")
-        return torch.stack([self.vector(f"experiment.setpoints[{i}]", p, 3) for i, p in enumerate(points)])
+        subset = choice("experiment.subset", self.config.experiment.subset, tuple(SUBSETS))
+        chosen = list(enumerate(points))[SUBSETS[subset]]
+        if not chosen:
+            raise ConfigError(f"experiment.subset={subset} leaves none of {len(points)} set-points")
+        return torch.stack([self.vector(f"experiment.setpoints[{i}]", p, 3) for i, p in chosen])
 
     def payloads(self) -> Tensor:
-        """(P,) payloads, kg."""
+        """(L,) payloads, kg; of several runs (P, L)."""
         payloads = self.vector("experiment.payloads", self.config.experiment.payloads)
-        if payloads.shape[0] == 0 or not bool((payloads >= 0).all()):
+        if payloads.dim() > 1:
+            payloads = payloads.squeeze(-2)
+        if payloads.shape[-1] == 0 or not bool((payloads >= 0).all()):
             raise ConfigError(f"experiment.payloads must be zero or positive, got {self.config.experiment.payloads}")
-        return payloads
+        return payloads if self.points is None else payloads.expand(self.points, -1)
 
     def grid(self) -> tuple[SetPoint, Tensor]:
-        """Every set-point with every payload: (S P, 3) targets, payload fastest, and (S P,) payloads."""
+        """Every set-point with every payload: (S L, 3) targets, payload fastest, and (S L,) payloads."""
         points, payloads = self.setpoints(), self.payloads()
-        rows = points.repeat_interleave(payloads.shape[0], dim=0)
-        return SetPoint(rows), payloads.repeat(points.shape[0])
+        rows = points.repeat_interleave(payloads.shape[-1], dim=-2)
+        return SetPoint(rows), payloads.repeat(*[1] * (payloads.dim() - 1), points.shape[-2])
 
     def dynamics(self) -> SoftArmDynamics:
         """The true arm's dynamics."""
         p: PlantConfig = self.config.plant
         lengths = self.vector("plant.lengths", p.lengths)
         axial, bending = scaled_stiffness(
-            lengths, p.stiffness_reference, p.axial_stiffness, p.bending_stiffness, p.stiffness_rule
+            lengths,
+            aligned(p.stiffness_reference, 1),
+            aligned(p.axial_stiffness, 1),
+            aligned(p.bending_stiffness, 1),
+            p.stiffness_rule,
         )
-        masses = p.mass * lengths / lengths.sum()
+        masses = aligned(p.mass, 1) * lengths / lengths.sum(-1, keepdim=True)
         return SoftArmDynamics(
             lengths, masses, axial, bending, damping_ratio=p.damping_ratio, base_rotation=self.base_rotation()
         )
@@ -229,4 +266,6 @@ class Builder:
     def pose_sensors(self) -> PoseSensors:
         """What stands between the true poses and the controller."""
         s = self.config.sensors
-        return PoseSensors(s.position_noise, s.angular_noise, s.delay, s.dropout)
+        # Runs side by side have one seed, and each sees what it would see alone.
+        shared = 0 if self.points is None else 1
+        return PoseSensors(s.position_noise, s.angular_noise, s.delay, s.dropout, shared)

@@ -141,8 +141,17 @@ class ExperimentConfig:
     # Rows of three numbers; typed, OmegaConf would refuse an integer in a row.
     setpoints: list[Any] | None = None
     payloads: list[float] = field(default_factory=lambda: [0.0])
+    subset: str = "all"
     start_errors: int = 0
     start_error: float = 0.15
+
+
+@dataclass
+class PruneConfig:
+    """Which runs a search ends early."""
+
+    after: float | None = None
+    above: float | None = None
 
 
 @dataclass
@@ -166,6 +175,15 @@ class SimulateConfig:
     threads: int | None = 1
     figures: bool = True
     progress: bool = True
+    objective: str | None = None
+    prune: PruneConfig = field(default_factory=PruneConfig)
+    resume: bool = False
+    jobs: int = 2
+    # A list of texts, or one text; typed, OmegaConf would take one of them only.
+    batch: Any = None
+    batch_kept: int = 4
+    batch_memory_mib: int = 4096
+    batch_workers: int = 2
 
 
 @dataclass

@@ -7,6 +7,7 @@ from torch import Tensor, nn
 
 from apcc_torch.control.gain import gain_matrix
 from apcc_torch.errors import ValueRangeError
+from apcc_torch.settings import Setting, aligned, check_setting, hold, is_used
 from apcc_torch.shapes import check_finite, check_same, check_tensor
 
 REGRESSORS = ("partial", "estimator_aware")
@@ -23,7 +24,8 @@ class AdaptiveLaw(nn.Module):
 
     with dq_bar/dpi from `StateFeedback.sensitivity`. The controller passes the one this law names.
 
-    Bounds, normalisation and dead zone are off by default: the law is then Eq. (15) and nothing else.
+    Bounds, normalisation and dead zone are off by default: the law is then Eq. (15) and nothing else. Each number may
+    also be a tensor (...), one a row.
 
     Args:
         n_sections: Number of parameters n_b.
@@ -34,11 +36,12 @@ class AdaptiveLaw(nn.Module):
         rate: Largest speed of a parameter, m/s; None for no bound. A row over it is scaled whole.
         normalisation: nu in Gamma Y^T e / (1 + nu ||Y||_F^2), s^2; 0 for the plain law.
         dead_zone: Position error below which a row does not adapt, m.
-        reach: How far the first i sections together reach at least, m: (n_b,), not decreasing, zeros for no bound; or a
-            number, for all sections together; None for none. The last entry at the farthest sensor's abscissa says that
-            the sensor is on the arm: where sum(pi_hat) is less, remark 3 attaches it to the model's tip, a longer
-            delta L explains it as well as a longer rest length, and no measurement tells the two apart. Entry i at the
-            abscissa of sensor i keeps a sensor in every section, without which positions alone do not determine q_bar.
+        reach: How far the first i sections together reach at least, m: (..., n_b), not decreasing, zeros for no bound;
+            or a number, for all sections together; None for none. The last entry at the farthest sensor's abscissa
+            says that the sensor is on the arm: where sum(pi_hat) is less, remark 3 attaches it to the model's tip, a
+            longer delta L explains it as well as a longer rest length, and no measurement tells the two apart. Entry i
+            at the abscissa of sensor i keeps a sensor in every section, without which positions alone do not determine
+            q_bar.
 
     Raises:
         ValueRangeError: Gamma is not positive definite, or bounds cross or are not positive.
@@ -48,6 +51,9 @@ class AdaptiveLaw(nn.Module):
     lower: Tensor | None
     upper: Tensor | None
     reach: Tensor | None
+    rate: Setting | None
+    normalisation: Setting
+    dead_zone: Setting
 
     def __init__(
         self,
@@ -56,9 +62,9 @@ class AdaptiveLaw(nn.Module):
         regressor: str = "estimator_aware",
         lower: Tensor | None = None,
         upper: Tensor | None = None,
-        rate: float | None = None,
-        normalisation: float = 0.0,
-        dead_zone: float = 0.0,
+        rate: Setting | None = None,
+        normalisation: Setting = 0.0,
+        dead_zone: Setting = 0.0,
         reach: float | Tensor | None = None,
     ) -> None:
         super().__init__()
@@ -66,10 +72,9 @@ class AdaptiveLaw(nn.Module):
             raise ValueRangeError(f"regressor must be one of {', '.join(REGRESSORS)}, got {regressor!r}")
         self.register_buffer("gamma", gain_matrix("gamma", gamma, n_sections))
         for name, value in {"normalisation": normalisation, "dead_zone": dead_zone}.items():
-            if not 0 <= value < float("inf"):
-                raise ValueRangeError(f"{name} must be zero or positive and finite, got {value}")
-        if rate is not None and not 0 < rate < float("inf"):
-            raise ValueRangeError(f"rate must be positive and finite, got {rate}")
+            check_setting(name, value, zero=True)
+        if rate is not None:
+            check_setting("rate", rate)
         for name, bound in {"lower": lower, "upper": upper}.items():
             if bound is not None:
                 check_finite(name, check_tensor(name, bound, (n_sections,)))
@@ -80,13 +85,12 @@ class AdaptiveLaw(nn.Module):
         self.register_buffer("lower", lower)
         self.register_buffer("upper", upper)
         self.regressor = regressor
-        self.rate = rate
-        self.normalisation = normalisation
-        self.dead_zone = dead_zone
+        hold(self, rate=rate, normalisation=normalisation, dead_zone=dead_zone)
+        self._normalised, self._has_dead_zone = is_used(normalisation), is_used(dead_zone)
         ends = None if reach is None else _cumulative_reach(reach, n_sections)
         self.register_buffer("reach", ends)
         # How many sections each wanted end lies behind; one that is zero asks for nothing.
-        self._reaching = [] if ends is None else [i + 1 for i, end in enumerate(ends.tolist()) if end > 0]
+        self._reaching = [] if ends is None else [i + 1 for i in range(n_sections) if bool((ends[..., i] > 0).any())]
 
     def velocity(self, Y: Tensor, e: Tensor) -> Tensor:
         """pi_hat_dot (..., n_b), m/s, before projection. Eq. (15) [Dalenberg].
@@ -100,12 +104,12 @@ class AdaptiveLaw(nn.Module):
         check_same(Y=Y, e=e)
         gamma = self.gamma.to(dtype=Y.dtype, device=Y.device)
         velocity = -(gamma @ (Y.mT @ e.unsqueeze(-1))).squeeze(-1)  # Eq. (15)
-        if self.normalisation > 0:
-            velocity = velocity / (1.0 + self.normalisation * Y.square().sum((-1, -2)).unsqueeze(-1))
-        if self.dead_zone > 0:
-            velocity = torch.where(e.norm(dim=-1, keepdim=True) > self.dead_zone, velocity, 0.0)
+        if self._normalised:
+            velocity = velocity / (1.0 + aligned(self.normalisation, 1) * Y.square().sum((-1, -2)).unsqueeze(-1))
+        if self._has_dead_zone:
+            velocity = torch.where(e.norm(dim=-1, keepdim=True) > aligned(self.dead_zone, 1), velocity, 0.0)
         if self.rate is not None:
-            velocity = velocity / (velocity.abs().amax(-1, keepdim=True) / self.rate).clamp(min=1.0)
+            velocity = velocity / (velocity.abs().amax(-1, keepdim=True) / aligned(self.rate, 1)).clamp(min=1.0)
         return velocity
 
     def forward(self, pi_hat: Tensor, Y: Tensor, e: Tensor, dt: Tensor) -> Tensor:
@@ -134,17 +138,17 @@ class AdaptiveLaw(nn.Module):
             gamma, reach = self.gamma.to(pi_hat), self.reach.to(pi_hat)
             for i in self._reaching:
                 toward = gamma[..., :i].sum(-1)
-                short = (reach[i - 1] - pi_hat[..., :i].sum(-1, keepdim=True)).clamp(min=0.0)
+                short = (reach[..., i - 1 : i] - pi_hat[..., :i].sum(-1, keepdim=True)).clamp(min=0.0)
                 pi_hat = pi_hat + short * toward / toward[..., :i].sum(-1, keepdim=True)
         return pi_hat
 
 
 def _cumulative_reach(reach: float | Tensor, n_sections: int) -> Tensor:
-    """(n_b,) least ends of the sections, m; a number is the last one's."""
+    """(..., n_b) least ends of the sections, m; a number is the last one's."""
     if not isinstance(reach, Tensor):
         last = torch.tensor([float(reach)], dtype=torch.float64)
         reach = torch.cat((torch.zeros(n_sections - 1, dtype=torch.float64), last))
     check_finite("reach", check_tensor("reach", reach, (n_sections,)))
-    if bool((reach < 0).any()) or bool((reach.diff() < 0).any()) or not float(reach[-1]) > 0:
+    if bool((reach < 0).any()) or bool((reach.diff() < 0).any()) or not bool((reach[..., -1] > 0).all()):
         raise ValueRangeError(f"reach must be not negative, not decreasing and end positive, got {reach.tolist()}")
     return reach.detach().clone()

@@ -7,6 +7,7 @@ from torch import Tensor, nn
 
 from apcc_torch.control.adaptation import AdaptiveLaw
 from apcc_torch.control.inverse_kinematics import InverseKinematics
+from apcc_torch.control.pid import within
 from apcc_torch.control.signals import Command, ControllerState, Measurement, Target
 from apcc_torch.errors import ValueRangeError
 from apcc_torch.estimation.savitzky_golay import SavitzkyGolay
@@ -15,6 +16,7 @@ from apcc_torch.model.backbone import PCCBackbone, split_configuration
 from apcc_torch.model.chain import tip_jacobian
 from apcc_torch.model.regressor import jacobian_rate
 from apcc_torch.model.tendons import TendonRouting
+from apcc_torch.settings import Setting, check_setting, hold
 from apcc_torch.shapes import batch_shape, check_same, check_tensor
 
 VELOCITIES = ("measured", "commanded")
@@ -40,8 +42,8 @@ class APCCController(nn.Module):
         adaptive: Whether the law runs.
         velocity: qdot of the regressor: "measured", the filtered derivative of q_bar as in the paper, or "commanded",
             the controller's own last qdot, which has neither lag nor noise but trusts the arm to follow.
-        bend_bound: Bound on every bend of q_d, rad; None for no bound.
-        elongation_bound: Bound on every elongation of q_d, m; None for no bound.
+        bend_bound: Bound on every bend of q_d, rad, a number or (...) one a row; None for no bound.
+        elongation_bound: Bound on every elongation of q_d, m, likewise; None for no bound.
         reference_damping: T in y = B_hat^T (q_d - T qdot_bar), s. It damps the arm's swinging, which K alone, acting
             through an integral, excites once it exceeds twice the damping rate of the slowest mode. 0 for Eq. (49).
         integration_limit: Longest step that is integrated, s: after a pause the controller goes on, it does not leap.
@@ -49,6 +51,9 @@ class APCCController(nn.Module):
     Raises:
         ValueRangeError: A setting is out of range.
     """
+
+    bend_bound: Setting | None
+    elongation_bound: Setting | None
 
     def __init__(
         self,
@@ -60,8 +65,8 @@ class APCCController(nn.Module):
         routing: TendonRouting | None = None,
         adaptive: bool = True,
         velocity: str = "measured",
-        bend_bound: float | None = None,
-        elongation_bound: float | None = None,
+        bend_bound: Setting | None = None,
+        elongation_bound: Setting | None = None,
         reference_damping: float = 0.0,
         integration_limit: float = 0.1,
     ) -> None:
@@ -74,8 +79,8 @@ class APCCController(nn.Module):
             "integration_limit": integration_limit,
         }
         for name, bound in bounds.items():
-            if bound is not None and not 0 < bound < float("inf"):
-                raise ValueRangeError(f"{name} must be positive and finite, got {bound}")
+            if bound is not None:
+                check_setting(name, bound)
         if not 0 <= reference_damping < float("inf"):
             raise ValueRangeError(f"reference_damping must be zero or positive and finite, got {reference_damping}")
         self.backbone = backbone
@@ -86,8 +91,7 @@ class APCCController(nn.Module):
         self.routing = routing
         self.adaptive = adaptive
         self.velocity = velocity
-        self.bend_bound = bend_bound
-        self.elongation_bound = elongation_bound
+        hold(self, bend_bound=bend_bound, elongation_bound=elongation_bound)
         self.reference_damping = reference_damping
         self.integration_limit = integration_limit
 
@@ -201,10 +205,7 @@ class APCCController(nn.Module):
         if self.bend_bound is None and self.elongation_bound is None:
             return q_d
         x, y, dL = q_d.unflatten(-1, (-1, 3)).unbind(-1)
-        if self.bend_bound is not None:
-            x, y = x.clamp(-self.bend_bound, self.bend_bound), y.clamp(-self.bend_bound, self.bend_bound)
-        if self.elongation_bound is not None:
-            dL = dL.clamp(-self.elongation_bound, self.elongation_bound)
+        x, y, dL = within(x, self.bend_bound), within(y, self.bend_bound), within(dL, self.elongation_bound)
         return torch.stack((x, y, dL), dim=-1).flatten(-2)
 
 

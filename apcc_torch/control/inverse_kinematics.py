@@ -6,8 +6,8 @@ import torch
 from torch import Tensor, nn
 
 from apcc_torch.control.gain import gain_matrix
-from apcc_torch.errors import ValueRangeError
 from apcc_torch.linalg import damped_pseudo_inverse
+from apcc_torch.settings import Setting, aligned, check_setting, hold
 from apcc_torch.shapes import check_same, check_tensor
 
 
@@ -22,16 +22,18 @@ def elongation_cost(q: Tensor, epsilon: float = 0.0) -> Tensor:
     return torch.sqrt(squared + epsilon**2) - epsilon  # Eq. (50)
 
 
-def elongation_gradient(q: Tensor, epsilon: float) -> Tensor:
+def elongation_gradient(q: Tensor, epsilon: Setting) -> Tensor:
     """Gradient of the smoothed `elongation_cost`, (..., 3 n_b): dL / sqrt(|dL|^2 + eps^2) on the elongations."""
     dL = q[..., 2::3]
-    slope = dL / torch.sqrt(dL.square().sum(-1, keepdim=True) + epsilon**2)
+    slope = dL / torch.sqrt(dL.square().sum(-1, keepdim=True) + aligned(epsilon, 1) ** 2)
     zero = torch.zeros_like(slope)
     return torch.stack((zero, zero, slope), dim=-1).flatten(-2)
 
 
 class InverseKinematics(nn.Module):
     """qdot = J^+ (xdot_d + K e) + (I - J^+ J) grad_Psi. Eqs. (14), (16), remark 2 [Dalenberg].
+
+    Each number may also be a tensor (...), one a row.
 
     Args:
         K: Task gain, 1/s: a number, a (3,) diagonal or (..., 3, 3).
@@ -47,29 +49,29 @@ class InverseKinematics(nn.Module):
     """
 
     K: Tensor
+    damping: Setting
+    null_gain: Setting
+    epsilon: Setting
+    bend_rate: Setting | None
+    length_rate: Setting | None
 
     def __init__(
         self,
         K: float | Tensor = 1.0,
-        damping: float = 1e-3,
-        null_gain: float = 0.05,
-        epsilon: float = 5e-3,
-        bend_rate: float | None = None,
-        length_rate: float | None = None,
+        damping: Setting = 1e-3,
+        null_gain: Setting = 0.05,
+        epsilon: Setting = 5e-3,
+        bend_rate: Setting | None = None,
+        length_rate: Setting | None = None,
     ) -> None:
         super().__init__()
         self.register_buffer("K", gain_matrix("K", K, 3))
         for name, value in {"damping": damping, "null_gain": null_gain}.items():
-            if not 0 <= value < float("inf"):
-                raise ValueRangeError(f"{name} must be zero or positive and finite, got {value}")
+            check_setting(name, value, zero=True)
         for name, bound in {"epsilon": epsilon, "bend_rate": bend_rate, "length_rate": length_rate}.items():
-            if bound is not None and not 0 < bound < float("inf"):
-                raise ValueRangeError(f"{name} must be positive and finite, got {bound}")
-        self.damping = damping
-        self.null_gain = null_gain
-        self.epsilon = epsilon
-        self.bend_rate = bend_rate
-        self.length_rate = length_rate
+            if bound is not None:
+                check_setting(name, bound)
+        hold(self, damping=damping, null_gain=null_gain, epsilon=epsilon, bend_rate=bend_rate, length_rate=length_rate)
 
     def forward(self, J_hat: Tensor, e: Tensor, xdot_d: Tensor, q: Tensor) -> Tensor:
         """Configuration velocity qdot (..., n), rad/s and m/s.
@@ -89,9 +91,9 @@ class InverseKinematics(nn.Module):
         check_tensor("q", q, (J_hat.shape[-1],))
         check_same(J_hat=J_hat, e=e, xdot_d=xdot_d, q=q)
         K = self.K.to(dtype=e.dtype, device=e.device)
-        J_pinv = damped_pseudo_inverse(J_hat, self.damping)
+        J_pinv = damped_pseudo_inverse(J_hat, aligned(self.damping, 2))
         velocity = xdot_d.unsqueeze(-1) + K @ e.unsqueeze(-1)
-        descent = -self.null_gain * elongation_gradient(q, self.epsilon).unsqueeze(-1)
+        descent = (aligned(-self.null_gain, 1) * elongation_gradient(q, self.epsilon)).unsqueeze(-1)
         # Eq. (16), with J^+ (v - J descent) + descent for J^+ v + (I - J^+ J) descent: one product fewer.
         qdot = (J_pinv @ (velocity - J_hat @ descent) + descent).squeeze(-1)
         return self._bounded(qdot)

@@ -7,14 +7,15 @@ from typing import NamedTuple
 import torch
 from torch import Tensor, nn
 
-from apcc_torch.errors import ValueRangeError
+from apcc_torch.settings import Setting, aligned, check_setting, hold
 from apcc_torch.shapes import check_same, check_tensor
 
 
 class TendonPID(nn.Module):
     """u = K_P (y_d - y) + K_I z + K_D (ydot_d - ydot) with zdot = y_d - y. Section V-B [Dalenberg].
 
-    y is a tendon's length change and u the force conjugate to it, so tension is -u.
+    y is a tendon's length change and u the force conjugate to it, so tension is -u. Each number may also be a
+    tensor (...), one a row.
 
     Args:
         K_P: N/m.
@@ -27,26 +28,27 @@ class TendonPID(nn.Module):
         ValueRangeError: A gain is negative, or a bound is not positive.
     """
 
+    K_P: Setting
+    K_I: Setting
+    K_D: Setting
+    force_limit: Setting | None
+    integral_limit: Setting | None
+
     def __init__(
         self,
-        K_P: float = 750.0,
-        K_I: float = 1.0,
-        K_D: float = 5.0,
-        force_limit: float | None = None,
-        integral_limit: float | None = None,
+        K_P: Setting = 750.0,
+        K_I: Setting = 1.0,
+        K_D: Setting = 5.0,
+        force_limit: Setting | None = None,
+        integral_limit: Setting | None = None,
     ) -> None:
         super().__init__()
         for name, gain in {"K_P": K_P, "K_I": K_I, "K_D": K_D}.items():
-            if not 0 <= gain < float("inf"):
-                raise ValueRangeError(f"{name} must be zero or positive and finite, got {gain}")
+            check_setting(name, gain, zero=True)
         for name, bound in {"force_limit": force_limit, "integral_limit": integral_limit}.items():
-            if bound is not None and not 0 < bound < float("inf"):
-                raise ValueRangeError(f"{name} must be positive and finite, got {bound}")
-        self.K_P = K_P
-        self.K_I = K_I
-        self.K_D = K_D
-        self.force_limit = force_limit
-        self.integral_limit = integral_limit
+            if bound is not None:
+                check_setting(name, bound)
+        hold(self, K_P=K_P, K_I=K_I, K_D=K_D, force_limit=force_limit, integral_limit=integral_limit)
 
     def forward(self, z: Tensor, y: Tensor, ydot: Tensor, y_d: Tensor, ydot_d: Tensor) -> Tensor:
         """Forces u (..., n_a), N.
@@ -61,13 +63,24 @@ class TendonPID(nn.Module):
         check_tensor("y", y, (None,))
         check_tensor("y_d", y_d, (y.shape[-1],))
         check_same(y=y, y_d=y_d)
-        u = self.K_P * (y_d - y) + self.K_I * z + self.K_D * (ydot_d - ydot)
-        return u if self.force_limit is None else u.clamp(-self.force_limit, self.force_limit)
+        K_P, K_I, K_D = aligned(self.K_P, 1), aligned(self.K_I, 1), aligned(self.K_D, 1)
+        u = K_P * (y_d - y) + K_I * z + K_D * (ydot_d - ydot)
+        return within(u, self.force_limit)
 
     def integrate(self, z: Tensor, y: Tensor, y_d: Tensor, dt: float) -> Tensor:
         """The integral after dt seconds, (..., n_a) m s."""
         z = z + dt * (y_d - y)
-        return z if self.integral_limit is None else z.clamp(-self.integral_limit, self.integral_limit)
+        return within(z, self.integral_limit)
+
+
+def within(x: Tensor, bound: Setting | None) -> Tensor:
+    """x (..., n) held to magnitudes of at most `bound`, a number or (...); None for no bound."""
+    if bound is None:
+        return x
+    if isinstance(bound, Tensor):
+        limit = aligned(bound, 1)
+        return torch.minimum(torch.maximum(x, -limit), limit)
+    return x.clamp(-bound, bound)
 
 
 class TendonReference(NamedTuple):

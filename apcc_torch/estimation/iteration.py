@@ -11,21 +11,22 @@ from apcc_torch.estimation.fit import Fit, Problem, evaluate, select
 from apcc_torch.estimation.step import Residual, damped_step
 from apcc_torch.lie import se3
 from apcc_torch.model.backbone import PCCBackbone
+from apcc_torch.settings import Setting, aligned
 
 
 class Rules(NamedTuple):
     """Settings of the iteration; see `StateFeedback`."""
 
     mode: str
-    angular_weight: float
+    angular_weight: Setting
     max_iterations: int
     min_iterations: int
-    linear_threshold: float
-    angular_threshold: float
-    bend_step: float
-    length_step: float
-    damping: float
-    settled_step: float
+    linear_threshold: Setting
+    angular_threshold: Setting
+    bend_step: Setting
+    length_step: Setting
+    damping: Setting
+    settled_step: Setting
 
 
 class Outcome(NamedTuple):
@@ -65,9 +66,9 @@ class _Step(NamedTuple):
 
 def _score(rules: Rules, fit: Fit) -> _Scored:
     angular, linear = fit.squares()
-    cost = torch.add(linear, angular, alpha=rules.angular_weight**2).sum(-1)
+    cost = (linear + aligned(rules.angular_weight, 1) ** 2 * angular).sum(-1)
     position_cost = linear.sum(-1) if rules.mode == "hierarchical" else cost
-    inside = (linear < rules.linear_threshold**2) & (angular < rules.angular_threshold**2)
+    inside = (linear < aligned(rules.linear_threshold, 1) ** 2) & (angular < aligned(rules.angular_threshold, 1) ** 2)
     return _Scored(fit, cost, position_cost, inside.all(-1))
 
 
@@ -103,9 +104,21 @@ def _chosen(rules: Rules, take: Tensor, trial: _Scored, best: _Scored) -> _Score
 
 
 def _limits(rules: Rules, like: Tensor) -> Tensor:
-    """(n, 1) largest change of each configuration variable in one step."""
-    bend = torch.full((like.shape[-1] // 3, 2), rules.bend_step, dtype=like.dtype, device=like.device)
-    return torch.nn.functional.pad(bend, (0, 1), value=rules.length_step).reshape(-1, 1)
+    """(..., n, 1) largest change of each configuration variable in one step."""
+    sections, bend, length = like.shape[-1] // 3, rules.bend_step, rules.length_step
+    if isinstance(bend, Tensor) or isinstance(length, Tensor):
+        bends, lengths = (torch.as_tensor(v, dtype=like.dtype, device=like.device) for v in (bend, length))
+        of_section = torch.stack(torch.broadcast_tensors(bends, bends, lengths), dim=-1)
+        return of_section.unsqueeze(-2).expand(*of_section.shape[:-1], sections, 3).flatten(-2).unsqueeze(-1)
+    bends = torch.full((sections, 2), bend, dtype=like.dtype, device=like.device)
+    return torch.nn.functional.pad(bends, (0, 1), value=length).reshape(-1, 1)
+
+
+def _first_damping(rules: Rules, floor: float, cost: Tensor) -> Tensor:
+    """(...) damping of the first step, m^2, of the shape of the cost."""
+    if isinstance(rules.damping, Tensor):
+        return rules.damping.to(cost).clamp(min=floor).expand_as(cost)
+    return torch.full_like(cost, max(rules.damping, floor))
 
 
 def _none(rows: Tensor) -> bool:
@@ -119,7 +132,7 @@ def iterate(backbone: PCCBackbone, rules: Rules, q_seed: Tensor, problem: Proble
     valid = problem.usable.any(-1) & torch.isfinite(best.cost)
     # Below this the damped normal matrix, of order one, is singular to rounding where sensors leave freedom.
     floor = 32.0 * torch.finfo(best.cost.dtype).eps
-    damping = torch.full_like(best.cost, max(rules.damping, floor))
+    damping = _first_damping(rules, floor, best.cost)
     limits = _limits(rules, q_seed)
     live = valid
     if rules.min_iterations == 0:

@@ -133,7 +133,7 @@ class SavitzkyGolay(nn.Module):
     finite and not before the one before it.
 
     Args:
-        window: Number of samples N.
+        window: Number of samples N; or a tensor (...) of whole numbers, one a row, which needs `period` to be None.
         order: Degree of the polynomial, less than `window`.
         derivative: Which derivative, at most `order`.
         period: Sampling period in s, or None to use the stamps.
@@ -143,23 +143,31 @@ class SavitzkyGolay(nn.Module):
     """
 
     table: Tensor | None
+    newest: Tensor | None
 
-    def __init__(self, window: int, order: int, derivative: int = 1, period: float | None = None) -> None:
+    def __init__(self, window: int | Tensor, order: int, derivative: int = 1, period: float | None = None) -> None:
         super().__init__()
         if derivative < 0:
             raise ValueRangeError(f"derivative must be 0 or more, got {derivative}")
         if order < derivative:
             raise ValueRangeError(f"order must be at least derivative = {derivative}, got {order}")
-        if window < order + 1:
-            raise ValueRangeError(f"window must be at least order + 1 = {order + 1}, got {window}")
+        shortest, longest = (int(window.min()), int(window.max())) if isinstance(window, Tensor) else (window, window)
+        if shortest < order + 1:
+            raise ValueRangeError(f"window must be at least order + 1 = {order + 1}, got {shortest}")
+        if period is not None and isinstance(window, Tensor):
+            raise ValueRangeError("a window for each row needs the samples' own stamps: period must be None")
         if period is not None and not (math.isfinite(period) and period > 0):
             raise ValueRangeError(f"period must be positive, got {period:g}")
-        self.window, self.order, self.derivative, self.period = window, order, derivative, period
+        self.window, self.order, self.derivative, self.period = longest, order, derivative, period
+        # A row's shorter window is the newest part of the longest one.
+        age = torch.arange(longest - 1, -1, -1)
+        newest = age.to(window.device) < window.unsqueeze(-1) if isinstance(window, Tensor) else None
+        self.register_buffer("newest", newest, persistent=False)
         table = None
         if period is not None:
             # Row m of each table: coefficients while the buffer holds m samples.
-            times = period * torch.arange(1 - window, 1, dtype=torch.float64)
-            filled = torch.ones(window + 1, window, dtype=torch.float64).tril(-1).flip(-1)
+            times = period * torch.arange(1 - longest, 1, dtype=torch.float64)
+            filled = torch.ones(longest + 1, longest, dtype=torch.float64).tril(-1).flip(-1)
             rows = polynomial_weights(times.expand_as(filled), filled, order, (derivative, 0))
             table = torch.stack(rows)
         self.register_buffer("table", table, persistent=False)
@@ -214,7 +222,8 @@ class SavitzkyGolay(nn.Module):
             return [part[row] for part in self.table.to(state.samples)[: 2 if with_value else 1]]
         times = (state.times - state.times[..., -1:]).to(state.samples.dtype)
         wanted = (self.derivative, 0) if with_value else (self.derivative,)
-        return polynomial_weights(times, state.valid.to(times.dtype), self.order, wanted)
+        valid = state.valid if self.newest is None else state.valid & self.newest
+        return polynomial_weights(times, valid.to(times.dtype), self.order, wanted)
 
     def evaluate(self, state: SavitzkyGolayState) -> SavitzkyGolayFit:
         """The polynomial over `state`'s samples at its newest stamp: the smoothed value and the derivative."""

@@ -15,6 +15,7 @@ from apcc_torch.estimation.step import Residual, damped_step, row_weights
 from apcc_torch.model.abscissae import located
 from apcc_torch.model.backbone import MaterialPoints, PCCBackbone
 from apcc_torch.model.chain import Chain, body_jacobian, last_chain
+from apcc_torch.settings import Setting, aligned, check_setting, hold
 from apcc_torch.shapes import batch_shape, check_finite, check_same, check_tensor
 
 MODES = ("position", "pose", "hierarchical")
@@ -76,9 +77,11 @@ class StateFeedback(nn.Module):
     the radian (the paper's is 1); "hierarchical" fits positions first and orientations in the null space that the
     positions leave.
 
+    Each number may also be a tensor (...), one a row, except the numbers of iterations.
+
     Args:
         backbone: The model.
-        abscissae: (k,) material abscissae of the sensors, m, increasing, S_s of Eq. (22).
+        abscissae: (..., k) material abscissae of the sensors, m, increasing, S_s of Eq. (22).
         mode: "position", "pose" or "hierarchical".
         angular_weight: Metres that one radian of angular error counts as.
         max_iterations: Largest number of steps, the paper's N = 7.
@@ -96,21 +99,28 @@ class StateFeedback(nn.Module):
     """
 
     abscissae: Tensor
+    angular_weight: Setting
+    linear_threshold: Setting
+    angular_threshold: Setting
+    bend_step: Setting
+    length_step: Setting
+    damping: Setting
+    settled_step: Setting
 
     def __init__(
         self,
         backbone: PCCBackbone,
         abscissae: Tensor,
         mode: str = "pose",
-        angular_weight: float = 1.0,
+        angular_weight: Setting = 1.0,
         max_iterations: int = 7,
         min_iterations: int = 1,
-        linear_threshold: float = 1e-4,
-        angular_threshold: float = 5e-3,
-        bend_step: float = 0.6,
-        length_step: float = 0.1,
-        damping: float = 1e-8,
-        settled_step: float = 5e-6,
+        linear_threshold: Setting = 1e-4,
+        angular_threshold: Setting = 5e-3,
+        bend_step: Setting = 0.6,
+        length_step: Setting = 0.1,
+        damping: Setting = 1e-8,
+        settled_step: Setting = 5e-6,
     ) -> None:
         super().__init__()
         check_tensor("abscissae", abscissae, (None,))
@@ -121,7 +131,7 @@ class StateFeedback(nn.Module):
             raise ValueRangeError(f"abscissae must be increasing and not negative, got {abscissae.tolist()}")
         if mode not in MODES:
             raise ValueRangeError(f"mode must be one of {', '.join(MODES)}, got {mode!r}")
-        positive = {
+        positive: dict[str, Setting] = {
             "angular_weight": angular_weight,
             "max_iterations": max_iterations,
             "linear_threshold": linear_threshold,
@@ -131,21 +141,16 @@ class StateFeedback(nn.Module):
             "damping": damping,
         }
         for name, value in positive.items():
-            if not 0 < value < float("inf"):
-                raise ValueRangeError(f"{name} must be positive and finite, got {value}")
+            check_setting(name, value)
         if not 0 <= min_iterations <= max_iterations:
             raise ValueRangeError(f"min_iterations must be between 0 and max_iterations, got {min_iterations}")
         self.backbone = backbone
         self.mode = mode
-        self.angular_weight = angular_weight
         self.max_iterations = max_iterations
         self.min_iterations = min_iterations
-        self.linear_threshold = linear_threshold
-        self.angular_threshold = angular_threshold
-        self.bend_step = bend_step
-        self.length_step = length_step
-        self.damping = damping
-        self.settled_step = settled_step
+        hold(self, angular_weight=angular_weight, settled_step=settled_step, damping=damping)
+        hold(self, linear_threshold=linear_threshold, angular_threshold=angular_threshold)
+        hold(self, bend_step=bend_step, length_step=length_step)
         self.register_buffer("abscissae", abscissae.detach().clone())
 
     def forward(
@@ -219,7 +224,9 @@ class StateFeedback(nn.Module):
     def _weights(self, usable: Tensor, oriented: Tensor, dtype: torch.dtype) -> Tensor:
         if self.mode == "position":
             oriented = torch.zeros_like(oriented)
-        return row_weights(oriented * (self.angular_weight if self.mode == "pose" else 1.0), usable, dtype)
+        # In the arm's dtype from the start: a bool times a number would be a single-precision one.
+        angular = oriented.to(dtype) * (aligned(self.angular_weight, 1) if self.mode == "pose" else 1.0)
+        return row_weights(angular, usable, dtype)
 
     def _rules(self) -> Rules:
         return Rules(

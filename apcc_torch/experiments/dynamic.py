@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple
 
@@ -20,6 +21,7 @@ from apcc_torch.report.backbone_drawing import Snapshots, marker_positions, spre
 from apcc_torch.report.style import save_figures
 from apcc_torch.simulation.dynamic import DynamicLog, DynamicSettings, simulate_dynamic
 from apcc_torch.simulation.metrics import backbone_error, mapping_error
+from apcc_torch.simulation.progress import Progress
 from apcc_torch.simulation.trajectory import Trajectory
 
 INSTANTS = 200
@@ -37,21 +39,36 @@ class Arms(NamedTuple):
     sensors: Tensor  # (k,) m
 
 
-def simulate(config: SimulateConfig, adaptive: bool, label: str) -> tuple[DynamicLog, Arms]:
+class Outcome(NamedTuple):
+    """What a run left."""
+
+    log: DynamicLog
+    arms: Arms
+
+
+def simulate(
+    config: SimulateConfig,
+    adaptive: bool | None = None,
+    label: str = "",
+    points: int | None = None,
+    progress: Progress | None = None,
+) -> Outcome:
     """Runs the whole grid, set-points by payloads, with one controller.
 
     Args:
-        config: Settings.
-        adaptive: The A-PCC controller, or the standard one.
+        config: Settings; of several runs side by side, from `configs.batch.stacked`.
+        adaptive: The A-PCC controller, or the standard one; None for the configured one.
         label: Of the progress bar.
+        points: How many runs; None for one. The log of P runs is (T, P, R, ...).
+        progress: Wraps the step counter; None for a bar.
 
     Raises:
         ConfigError, ValueRangeError: A setting has no meaning.
     """
-    build = Builder(config)
+    build = Builder(config, points)
     controller = build.controller(adaptive)
     trajectory: Trajectory
-    if config.experiment.setpoints:
+    if config.experiment.setpoints is not None and len(config.experiment.setpoints) > 0:
         trajectory, payload = build.grid()
     else:
         trajectory, payload = build.sine(), build.payloads()
@@ -69,9 +86,39 @@ def simulate(config: SimulateConfig, adaptive: bool, label: str) -> tuple[Dynami
             build.first_estimate(),
             settings,
             generator,
-            progress_bar(label, config.progress),
+            progress or progress_bar(label, config.progress),
         )
-    return log, Arms(plant.backbone, plant.dynamics.lengths, controller.backbone, controller.feedback.abscissae)
+    arms = Arms(plant.backbone, plant.dynamics.lengths, controller.backbone, controller.feedback.abscissae)
+    return Outcome(log, arms)
+
+
+def one_of(outcome: Outcome, config: SimulateConfig, p: int) -> Outcome:
+    """Run p, with its own settings, of runs side by side."""
+    log = outcome.log
+    fields = [field if field.dim() == 1 else field[:, p].contiguous() for field in log[:-1]]
+    return Outcome(DynamicLog(*[*fields, log.diverged_at[p]]), _arms(config))
+
+
+def loaded(config: SimulateConfig, data: Mapping[str, Tensor]) -> Outcome:
+    """The outcome of a run from its trajectory.npz."""
+    return Outcome(DynamicLog(*(data[name] for name in DynamicLog._fields)), _arms(config))
+
+
+def arrays(outcome: Outcome) -> dict[str, Tensor]:
+    """What trajectory.npz holds."""
+    return outcome.log._asdict()
+
+
+def metrics(outcome: Outcome) -> dict[str, float]:
+    """Metrics of one run."""
+    return dynamic_metrics(curves(thinned(outcome.log), outcome.arms), outcome.log.diverged_at)
+
+
+def _arms(config: SimulateConfig) -> Arms:
+    build = Builder(config)
+    lengths = build.vector("plant.lengths", config.plant.lengths)
+    true = PCCBackbone(lengths.shape[-1], build.base_rotation())
+    return Arms(true, lengths, build.backbone(), build.sensors_at())
 
 
 def thinned(log: DynamicLog, instants: int = INSTANTS) -> DynamicLog:
@@ -149,6 +196,31 @@ def snapshots(log: DynamicLog, arms: Arms, row: int, count: int | None) -> Snaps
     )
 
 
+def draw(outcome: Outcome, folder: Path, name: str = "run") -> None:
+    """The paper's figures of one run, and a film of its last row.
+
+    Args:
+        outcome: The run.
+        folder: Where they go.
+        name: Of the run, in the legends.
+    """
+    thin = thinned(outcome.log)
+    c = curves(thin, outcome.arms)
+    runs = {name: c}
+    pictures = {
+        "shape_error.png": figures.shape_error_figure(runs),
+        "psi.png": figures.psi_figure(runs),
+        "parameters.png": figures.parameter_figure(runs),
+        "sensors.png": figures.sensor_figure(runs),
+        "end_effector.png": figures.end_effector_figure(runs),
+        "mapping_error.png": figures.mapping_error_figure(runs),
+        "stroboscopic.png": stroboscopic_figure({name: snapshots(thin, outcome.arms, -1, 6)}),
+    }
+    save_figures(pictures, folder)
+    film = {"shape error (mm)": 1e3 * c.shape_error[:, -1], "end-effector error (mm)": 1e3 * c.e[:, -1]}
+    save_animation(folder / "animation", snapshots(thin, outcome.arms, -1, None), film)
+
+
 def run(config: SimulateConfig, folder: Path) -> dict[str, float]:
     """Runs the configured controller over the grid and writes its folder; returns the metrics.
 
@@ -157,24 +229,10 @@ def run(config: SimulateConfig, folder: Path) -> dict[str, float]:
     """
     started = time.perf_counter()
     name = "adaptive" if config.controller.adaptive else "standard"
-    log, arms = simulate(config, config.controller.adaptive, f"{config.experiment.name}, {name}")
-    thin = thinned(log)
-    c = curves(thin, arms)
-    metrics = dynamic_metrics(c, log.diverged_at)
+    outcome = simulate(config, label=f"{config.experiment.name}, {name}")
+    found = metrics(outcome)
     if config.figures:
-        runs = {name: c}
-        pictures = {
-            "shape_error.png": figures.shape_error_figure(runs),
-            "psi.png": figures.psi_figure(runs),
-            "parameters.png": figures.parameter_figure(runs),
-            "sensors.png": figures.sensor_figure(runs),
-            "end_effector.png": figures.end_effector_figure(runs),
-            "mapping_error.png": figures.mapping_error_figure(runs),
-            "stroboscopic.png": stroboscopic_figure({name: snapshots(thin, arms, -1, 6)}),
-        }
-        save_figures(pictures, folder / "figures")
-        film = {"shape error (mm)": 1e3 * c.shape_error[:, -1], "end-effector error (mm)": 1e3 * c.e[:, -1]}
-        save_animation(folder / "figures" / "animation", snapshots(thin, arms, -1, None), film)
-    metrics["wall_s"] = time.perf_counter() - started
-    RunFolder(folder).write(metrics, log._asdict(), config.seed)
-    return metrics
+        draw(outcome, folder / "figures", name)
+    found["wall_s"] = time.perf_counter() - started
+    RunFolder(folder).write(found, arrays(outcome), config.seed)
+    return found

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import json
 import platform
-from collections.abc import Mapping
+import time
+from collections.abc import Iterable, Iterator, Mapping, Sized
+from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,13 +17,52 @@ from torch import Tensor
 from tqdm import tqdm
 
 import apcc_torch
-from apcc_torch.files import write_arrays, write_json
-from apcc_torch.simulation.progress import Progress
+from apcc_torch.files import draft_of, write_arrays, write_json
+from apcc_torch.simulation.progress import Progress, quiet
+
+_told: ContextVar[Path | None] = ContextVar("progress_file", default=None)
+_TELL_EVERY = 0.5
+"""Time between two writes of a progress file, s."""
 
 
 def progress_bar(label: str, shown: bool) -> Progress:
-    """A progress bar over steps; silent where it is not wanted or there is no terminal."""
-    return lambda steps: tqdm(steps, desc=label, disable=None if shown else True, leave=False, dynamic_ncols=True)
+    """A progress bar over steps; silent where it is not wanted or there is no terminal.
+
+    Inside `progress_told` there is no bar: the steps are told to a file, from which another process may draw one.
+    """
+    path = _told.get()
+    if path is None:
+        return lambda steps: tqdm(steps, desc=label, disable=None if shown else True, leave=False, dynamic_ncols=True)
+    return (lambda steps: _telling(steps, label, path)) if shown else quiet
+
+
+@contextmanager
+def progress_told(path: Path) -> Iterator[None]:
+    """Bars within the block write {label, done, steps} to the JSON file `path` instead of drawing themselves."""
+    token = _told.set(path)
+    try:
+        yield
+    finally:
+        _told.reset(token)
+
+
+def _telling(steps: Iterable[int], label: str, path: Path) -> Iterator[int]:
+    total = len(steps) if isinstance(steps, Sized) else None
+    told_at = -_TELL_EVERY
+    for done, step in enumerate(steps):
+        now = time.monotonic()
+        if now - told_at >= _TELL_EVERY:
+            told_at = now
+            # Whole or not at all, but not forced to the disk: nobody misses it after a crash.
+            with draft_of(path) as draft:
+                draft.write_text(json.dumps({"label": label, "done": done, "steps": total}))
+        yield step
+
+
+def metrics_text(metrics: Mapping[str, float]) -> str:
+    """One line a metric, for a log."""
+    width = max(len(name) for name in metrics)
+    return "\n".join(f"  {name:<{width}}  {value:.6g}" for name, value in metrics.items())
 
 
 def versions() -> dict[str, str]:

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping
 from pathlib import Path
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
 from apcc_torch.configs.build import Builder, choice
 from apcc_torch.configs.schema import SimulateConfig
+from apcc_torch.control.controller import APCCController
 from apcc_torch.control.inverse_kinematics import elongation_cost
 from apcc_torch.errors import ConfigError
 from apcc_torch.experiments.folder import RunFolder, progress_bar
@@ -18,8 +21,9 @@ from apcc_torch.report.kinematic import kinematic_figures, select_row
 from apcc_torch.report.style import save_figures
 from apcc_torch.simulation.kinematic import KinematicLog, simulate_exact, simulate_feedback
 from apcc_torch.simulation.metrics import backbone_error
+from apcc_torch.simulation.progress import Progress
 
-SHAPE_SAMPLES = 1000
+SHAPE_SAMPLES = 200
 """Largest number of instants at which the shape error is computed."""
 
 
@@ -61,53 +65,109 @@ def kinematic_metrics(log: KinematicLog, backbone: PCCBackbone, pi: Tensor) -> d
     return {name: float(value) for name, value in metrics.items()}
 
 
+class Outcome(NamedTuple):
+    """What a run left: its log, the true rest lengths pi (n_b,) m, and the arm with its sensors."""
+
+    log: KinematicLog
+    pi: Tensor
+    controller: APCCController
+
+
+def simulate(config: SimulateConfig, points: int | None = None, progress: Progress | None = None) -> Outcome:
+    """Runs section V-A.
+
+    Args:
+        config: Settings; of several runs side by side, from `configs.batch.stacked`.
+        points: How many runs; None for one. The log of P runs is (T, P, R, ...), and pi (P, 1, n_b) where they differ.
+        progress: Wraps the step counter; None for a bar.
+
+    Raises:
+        ConfigError, ValueRangeError: A setting has no meaning.
+    """
+    build = Builder(config, points)
+    controller = build.controller()
+    pi = build.rest_lengths()
+    loop = {"exact": simulate_exact, "feedback": simulate_feedback}[
+        choice("state", config.state, ("exact", "feedback"))
+    ]
+    with torch.inference_mode():
+        log = loop(
+            controller,
+            pi,
+            _starts(config, build),
+            build.sine(),
+            config.experiment.duration,
+            config.controller.rate,
+            progress or progress_bar("section V-A", config.progress),
+        )
+    return Outcome(log, pi, controller)
+
+
+def one_of(outcome: Outcome, config: SimulateConfig, p: int) -> Outcome:
+    """Run p, with its own settings, of runs side by side."""
+    log = KinematicLog(*(field if field.dim() == 1 else field[:, p].contiguous() for field in outcome.log))
+    build = Builder(config)
+    return Outcome(log, build.rest_lengths(), build.controller())
+
+
+def metrics(outcome: Outcome) -> dict[str, float]:
+    """Metrics of one run: the headline ones are row 0's, those named `all_rows_...` are over every row."""
+    log, pi, controller = outcome
+    with torch.inference_mode():
+        first = KinematicLog(*(field if field.dim() == 1 else field[:, :1] for field in log))
+        found = kinematic_metrics(first, controller.backbone, pi)
+        if log.q_bar.shape[1] == 1:
+            return found
+        every = kinematic_metrics(log, controller.backbone, pi)
+    found |= {f"all_rows_{name}": value for name, value in every.items() if "pi_hat" not in name}
+    return found | {"rows": every["rows"], "diverged_rows": every["diverged_rows"]}
+
+
+def draw(outcome: Outcome, folder: Path) -> None:
+    """Figures 7, 8 and 9 of one run's row 0."""
+    log, pi, controller = outcome
+    figures = kinematic_figures(select_row(log, 0), pi, controller.feedback.abscissae, controller.backbone)
+    save_figures(figures, folder)
+
+
+def arrays(outcome: Outcome) -> dict[str, Tensor]:
+    """What trajectory.npz holds."""
+    return {**outcome.log._asdict(), "pi": outcome.pi}
+
+
+def loaded(config: SimulateConfig, data: Mapping[str, Tensor]) -> Outcome:
+    """The outcome of a run from its trajectory.npz."""
+    build = Builder(config)
+    return Outcome(KinematicLog(*(data[name] for name in KinematicLog._fields)), data["pi"], build.controller())
+
+
 def run(config: SimulateConfig, folder: Path) -> dict[str, float]:
     """Runs section V-A and writes its folder; returns the metrics.
 
-    Row 0 starts from `robot.initial_estimate`; `experiment.start_errors` more rows start from random estimates. The
-    headline metrics are row 0's, those named `all_rows_...` are over every row.
+    Row 0 starts from `robot.initial_estimate`; `experiment.start_errors` more rows start from random estimates.
 
     Raises:
         ConfigError, ValueRangeError: A setting has no meaning.
     """
     started = time.perf_counter()
-    build = Builder(config)
-    controller, trajectory = build.controller(), build.sine()
-    pi, pi_hat = build.rest_lengths(), _starts(config, build)
-    simulate = {"exact": simulate_exact, "feedback": simulate_feedback}[
-        choice("state", config.state, ("exact", "feedback"))
-    ]
-    with torch.inference_mode():
-        log = simulate(
-            controller,
-            pi,
-            pi_hat,
-            trajectory,
-            config.experiment.duration,
-            config.controller.rate,
-            progress_bar("section V-A", config.progress),
-        )
-        first = KinematicLog(*(field if field.dim() == 1 else field[:, :1] for field in log))
-        metrics = kinematic_metrics(first, controller.backbone, pi)
-        every = kinematic_metrics(log, controller.backbone, pi) if pi_hat.shape[0] > 1 else metrics
-    metrics |= {
-        f"all_rows_{name}": value for name, value in every.items() if pi_hat.shape[0] > 1 and "pi_hat" not in name
-    }
-    metrics |= {"rows": every["rows"], "diverged_rows": every["diverged_rows"]}
+    outcome = simulate(config)
+    found = metrics(outcome)
     if config.figures:
-        figures = kinematic_figures(select_row(log, 0), pi, controller.feedback.abscissae, controller.backbone)
-        save_figures(figures, folder / "figures")
-    metrics["wall_s"] = time.perf_counter() - started
-    RunFolder(folder).write(metrics, {**log._asdict(), "pi": pi}, config.seed)
-    return metrics
+        draw(outcome, folder / "figures")
+    found["wall_s"] = time.perf_counter() - started
+    RunFolder(folder).write(found, arrays(outcome), config.seed)
+    return found
 
 
 def _starts(config: SimulateConfig, build: Builder) -> Tensor:
-    """(1 + start_errors, n_b) first estimates."""
+    """(1 + start_errors, n_b) first estimates; of several runs (P, 1 + start_errors, n_b)."""
     e = config.experiment
     if e.start_errors < 0 or not 0 < e.start_error < 1:
         raise ConfigError("experiment.start_errors must be zero or more and experiment.start_error between 0 and 1")
     generator = torch.Generator().manual_seed(config.seed)
     draws = torch.rand(e.start_errors, build.n_sections, generator=generator, dtype=torch.float64)
     scale = (1.0 + e.start_error * (2.0 * draws - 1.0)).to(dtype=build.dtype, device=build.device)
-    return torch.cat((build.first_estimate().unsqueeze(0), build.rest_lengths() * scale))
+    first, drawn = build.first_estimate(), build.rest_lengths() * scale
+    if build.points is None:
+        first = first.unsqueeze(0)
+    return torch.cat((first, drawn.expand(*first.shape[:-2], *drawn.shape[-2:])), dim=-2)

@@ -5,11 +5,12 @@ from __future__ import annotations
 from torch import Tensor
 
 from apcc_torch.errors import ValueRangeError
+from apcc_torch.settings import Setting
 from apcc_torch.shapes import check_positive, check_tensor
 
 
 def scaled_stiffness(
-    lengths: Tensor, reference: float = 0.1, axial: float = 100.0, bending: float = 0.778, rule: str = "series"
+    lengths: Tensor, reference: Setting = 0.1, axial: Setting = 100.0, bending: Setting = 0.778, rule: str = "series"
 ) -> tuple[Tensor, Tensor]:
     """Axial and bending stiffness of sections from those of one section of `reference` length.
 
@@ -19,7 +20,7 @@ def scaled_stiffness(
 
     Args:
         lengths: (..., n_b) section rest lengths, m.
-        reference: Length of the reference section, m.
+        reference: Length of the reference section, m; this and the next two a number, or (..., 1) one a row.
         axial: Its axial stiffness, N/m.
         bending: Its bending stiffness, N m/rad.
         rule: "series" or "proportional".

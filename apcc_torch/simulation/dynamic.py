@@ -22,6 +22,7 @@ from apcc_torch.model.dynamics import EquationOfMotion, SoftArmDynamics
 from apcc_torch.model.friction import TendonTransmission
 from apcc_torch.model.integrators import Actuation, ArmState, guard, semi_implicit_step
 from apcc_torch.model.tendons import TendonRouting
+from apcc_torch.settings import Setting, aligned, check_setting
 from apcc_torch.simulation.progress import Progress, quiet
 from apcc_torch.simulation.sensors import PoseSensors
 from apcc_torch.simulation.trajectory import Trajectory
@@ -90,8 +91,8 @@ class Plant:
         dynamics: The arm.
         routing: Its tendons.
         pid: The loop on their lengths.
-        payload: (R,) tip mass, kg.
-        tendon_damping: Viscous friction of each tendon in its guides, N s/m.
+        payload: (..., R) tip mass, kg.
+        tendon_damping: Viscous friction of each tendon in its guides, N s/m, a number or (...) one a row.
         transmission: Slack and dry friction between the motors and the arm; None: the arm feels the motors' forces.
         bound: Largest magnitude of a coordinate or its rate before a row counts as diverged.
 
@@ -105,12 +106,11 @@ class Plant:
         routing: TendonRouting,
         pid: TendonPID,
         payload: Tensor,
-        tendon_damping: float = 0.0,
+        tendon_damping: Setting = 0.0,
         transmission: TendonTransmission | None = None,
         bound: float = 1e3,
     ) -> None:
-        if not 0 <= tendon_damping < float("inf"):
-            raise ValueRangeError(f"tendon_damping must be zero or positive and finite, got {tendon_damping}")
+        check_setting("tendon_damping", tendon_damping, zero=True)
         if dynamics.base_rotation.dim() != 2:
             raise ConfigError("base_rotation of the plant must be one (3, 3) rotation, shared by all rows")
         self.dynamics = dynamics
@@ -122,8 +122,8 @@ class Plant:
         self.backbone = PCCBackbone(dynamics.n_sections, dynamics.base_rotation)
         self.B = routing.matrix(dynamics.lengths)
         stiff = self.B @ self.B.mT
-        self.actuation_stiffness = pid.K_P * stiff
-        self.actuation_damping = (pid.K_D + tendon_damping) * stiff
+        self.actuation_stiffness = aligned(pid.K_P, 2) * stiff
+        self.actuation_damping = aligned(pid.K_D + tendon_damping, 2) * stiff
 
     def lengths(self, v: Tensor) -> Tensor:
         """B^T v: tendon length changes (..., n_a) of a configuration, or their rates of a velocity."""
@@ -165,7 +165,7 @@ class Plant:
         self, state: ArmState, z: Tensor, reference: TendonReference, dt: float, equation: EquationOfMotion | None
     ) -> tuple[ArmState, Tensor]:
         """One linearly implicit Euler step under the reference of its end."""
-        u, drag = self.forces(state, z, reference), self.tendon_damping * self.lengths(state.qdot)
+        u, drag = self.forces(state, z, reference), aligned(self.tendon_damping, 1) * self.lengths(state.qdot)
         if self.transmission is None:
             tau = self._pull(u - drag)
         else:

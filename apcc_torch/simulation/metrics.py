@@ -5,6 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from apcc_torch.model.arc import squared_bend
 from apcc_torch.model.backbone import PCCBackbone
 from apcc_torch.shapes import check_same, check_tensor
 
@@ -36,7 +37,7 @@ def backbone_error(
     q: Tensor,
     L0: Tensor,
     N: int = SHAPE_POINTS,
-    chunk_rows: int = 4096,
+    chunk_rows: int = 64,
 ) -> Tensor:
     """`shape_error` of two arms for whole logs, in chunks of rows so that memory stays bounded.
 
@@ -48,18 +49,48 @@ def backbone_error(
         q: (..., n) the model's configurations.
         L0: (..., n_b) its rest lengths, m.
         N: Points along each backbone.
-        chunk_rows: Rows computed at a time.
+        chunk_rows: Rows computed at a time; few enough that they stay in a processor's cache.
 
     Returns:
         (...) m.
     """
     batch = torch.broadcast_shapes(q_true.shape[:-1], L0_true.shape[:-1], q.shape[:-1], L0.shape[:-1])
     flat = [v.expand(*batch, v.shape[-1]).reshape(-1, v.shape[-1]) for v in (q_true, L0_true, q, L0)]
+    share = torch.linspace(0.0, 1.0, N, dtype=q.dtype, device=q.device)
     errors = [
-        shape_error(true.points(a, b, N), model.points(c, d, N))
+        _distance(_points(true, a, b, share), _points(model, c, d, share)).mean(-1)  # Eq. (52)
         for a, b, c, d in zip(*(v.split(chunk_rows) for v in flat), strict=True)
     ]
     return torch.cat(errors).reshape(batch)
+
+
+def _points(backbone: PCCBackbone, q: Tensor, L0: Tensor, share: Tensor) -> Tensor:
+    """`PCCBackbone.points` (R, 3, N) m at shares (N,) of the curve's length, without a lookup of each point's section.
+
+    Every section adds its arc up to the point: nothing before it begins, all of it once it has ended. An arc of angle
+    phi and curvature kappa reaches sin(phi) / kappa along its first tangent and (1 - cos(phi)) / kappa towards its
+    bend; by the half angle h = phi / 2 these are 2 sin(h) cos(h) / kappa and 2 sin(h)^2 / kappa, exact however small
+    kappa is.
+    """
+    chain = backbone.chain(q, L0)
+    # A section squeezed to nothing has the floor of `PCCBackbone.points`, a straight one a bend that cannot be seen.
+    measure = (L0 + q[..., 2::3]).clamp(min=1e-9)
+    ends = measure.cumsum(-1)
+    bend = torch.sqrt(squared_bend(chain.x, chain.y)).clamp(min=1e-30)
+    half = 0.5 * bend
+    rate = half / measure
+    begin, whole = (rate * (measure - ends)).unsqueeze(-1), (rate * ends[..., -1:]).unsqueeze(-1)
+    h = torch.clamp(torch.addcmul(begin, share, whole), torch.zeros_like(begin), half.unsqueeze(-1))
+    sine = torch.sin(h)
+    x, y, z = (chain.before * (chain.length / half)[..., None, None]).unbind(-1)
+    towards = (chain.x / bend).unsqueeze(-1) * x + (chain.y / bend).unsqueeze(-1) * y
+    return torch.baddbmm(towards.mT @ (sine * sine), z.mT, sine * torch.cos(h))
+
+
+def _distance(p: Tensor, other: Tensor) -> Tensor:
+    """Distances (R, N) m of corresponding points (R, 3, N); a norm over a dimension that is not last is far slower."""
+    x, y, z = (p - other).unbind(-2)
+    return torch.addcmul(torch.addcmul(x * x, y, y), z, z).sqrt()
 
 
 def mapping_error(model: PCCBackbone, q_d: Tensor, pi_hat: Tensor, x_measured: Tensor) -> Tensor:

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor, nn
 
 from apcc_torch.control.signals import Target
-from apcc_torch.errors import ValueRangeError
+from apcc_torch.settings import Setting, aligned, check_setting, hold
 from apcc_torch.shapes import check_finite, check_tensor
 
 
@@ -24,7 +24,7 @@ class SineTrajectory(nn.Module):
     Args:
         r_0: (..., 3) centre, world frame, m.
         A: (..., 3) amplitude, m.
-        omega: Angular frequency, rad/s.
+        omega: Angular frequency, rad/s, a number or (...) one a row.
 
     Raises:
         ValueRangeError: omega is not positive, or r_0 or A is not finite.
@@ -32,21 +32,21 @@ class SineTrajectory(nn.Module):
 
     r_0: Tensor
     A: Tensor
+    omega: Setting
 
-    def __init__(self, r_0: Tensor, A: Tensor, omega: float) -> None:
+    def __init__(self, r_0: Tensor, A: Tensor, omega: Setting) -> None:
         super().__init__()
-        if not 0 < omega < float("inf"):
-            raise ValueRangeError(f"omega must be positive and finite, got {omega}")
+        check_setting("omega", omega)
         self.register_buffer("r_0", check_finite("r_0", check_tensor("r_0", r_0, (3,))))
         self.register_buffer("A", check_finite("A", check_tensor("A", A, (3,))))
-        self.omega = omega
+        hold(self, omega=omega)
 
     def forward(self, time: Tensor) -> Target:
         """Target at time (...), s."""
         phase = (self.omega * time).unsqueeze(-1)
         r_0, A = self.r_0.to(time), self.A.to(time)
         x_d = r_0 + A * torch.sin(phase)  # Eq. (51)
-        return Target(x_d, self.omega * A * torch.cos(phase))
+        return Target(x_d, aligned(self.omega, 1) * A * torch.cos(phase))
 
 
 class SetPoint(nn.Module):

@@ -68,6 +68,13 @@ def test_grid_pairs_every_set_point_with_every_payload() -> None:
     assert points.x_d.tolist() == [[1.0, 2.0, 3.0]] * 3 + [[4.0, 5.0, 6.0]] * 3
 
 
+def test_tuning_sees_half_of_the_set_points_and_is_judged_by_the_others() -> None:
+    points = [[float(k), 0.0, 0.0] for k in range(5)]
+    for subset, indices in {"all": range(5), "training": (0, 2, 4), "held_out": (1, 3)}.items():
+        chosen = builder(f"experiment.setpoints={points}", f"experiment.subset={subset}").setpoints()
+        assert chosen[:, 0].tolist() == list(indices)
+
+
 def test_plant_is_the_arm_described() -> None:
     plant = builder("plant.mass=2", "plant.K_P=10", "plant.force_limit=7", "plant.tendon_damping=3").plant(
         torch.tensor([0.0, 0.5], dtype=torch.float64)
@@ -125,6 +132,7 @@ def test_one_dtype_throughout(dtype: str) -> None:
         ("experiment.setpoints", "[[0,0,1],[0,0]]", "setpoints"),
         ("experiment.setpoints", "[0,0,1]", "setpoints"),
         ("experiment.setpoints", "[[0,0,low]]", "setpoints"),
+        ("experiment.subset", "most", "setpoints"),
         ("experiment.payloads", "[]", "payloads"),
         ("experiment.payloads", "[-0.1]", "payloads"),
         ("experiment.r_0", "null", "sine"),

@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
+import importlib
+import re
+import warnings
 from pathlib import Path
 
 import pytest
+from hydra import compose, initialize_config_dir
 from hydra.errors import HydraException
 from omegaconf import OmegaConf
 
@@ -21,7 +25,8 @@ from apcc_torch.configs.schema import (
     VelocityFilterConfig,
 )
 from apcc_torch.errors import ConfigError
-from apcc_torch.simulate import EXPERIMENTS
+from apcc_torch.experiments.run import EXPERIMENTS
+from apcc_torch.sweep import planned
 from composed import composed, raw
 
 CONF = Path(conf_path())
@@ -62,6 +67,54 @@ def test_every_choice_composes_with_every_kind_of_experiment(experiment: str) ->
 @pytest.mark.parametrize("state", ["feedback", "exact"])
 def test_both_states_compose(state: str) -> None:
     assert composed("experiment=kinematic", f"state={state}").state == state
+
+
+@pytest.mark.parametrize("sweep", choices("sweep"))
+def test_every_sweep_composes_and_sweeps_keys_that_there_are(sweep: str) -> None:
+    if "optuna" in sweep:
+        pytest.importorskip("hydra_plugins.hydra_optuna_sweeper")
+    with initialize_config_dir(str(CONF), version_base="1.3"):
+        config = compose("simulate", ["experiment=dynamic_run_2", f"sweep={sweep}"], return_hydra_config=True)
+    assert config.hydra.mode.name == "MULTIRUN"
+    plan = planned(config)
+    assert plan.keys == set(config.hydra.sweeper.params) and plan.total > 1
+    for key in config.hydra.sweeper.params:
+        assert OmegaConf.select(config, key, throw_on_missing=True) is not None, key
+
+
+PLUGINS = {
+    "joblib": "joblib",
+    "submitit_local": "submitit",
+    "submitit_slurm": "submitit",
+    "ray_local": "ray",
+    "ray_cluster": "ray",
+}
+
+
+@pytest.mark.parametrize("launcher", choices("hydra/launcher"))
+def test_every_launcher_composes_and_is_there_to_be_made(launcher: str) -> None:
+    pytest.importorskip(f"hydra_plugins.hydra_{PLUGINS[launcher]}_launcher")
+    with initialize_config_dir(str(CONF), version_base="1.3"), warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message=r"\s*'hydra/launcher/\w+' is validated against ConfigStore schema")
+        asked = ["experiment=kinematic", f"hydra/launcher={launcher}", "hydra.sweep.dir=/s"]
+        config = compose("simulate", asked, return_hydra_config=True)
+    module, _, name = config.hydra.launcher._target_.rpartition(".")
+    assert isinstance(getattr(importlib.import_module(module), name), type)
+
+
+DOCUMENTED = (*sorted(GROUPS), "experiment", "state", "sweep", "hydra/launcher")
+NAMES = {"_target_", "kind", "mode", "name", "objective", "state", "subset"}
+"""What says itself, or is what the head of its file says."""
+
+
+@pytest.mark.parametrize("group", DOCUMENTED)
+def test_every_value_says_what_it_is(group: str) -> None:
+    for path in sorted((CONF / group).glob("*.yaml")):
+        lines = path.read_text(encoding="utf-8").splitlines()
+        assert any(line.startswith("#") and "@package" not in line for line in lines), f"{path}: what is it?"
+        values = [(line, re.match(r"\s*([\w.]+): +[^\s#]", line)) for line in lines]
+        silent = [line for line, found in values if found and found[1] not in NAMES and "#" not in line]
+        assert not silent, f"{path.relative_to(CONF)}: {silent}"
 
 
 @pytest.mark.parametrize("group", sorted(GROUPS))

@@ -1,0 +1,122 @@
+"""The table of experiments, and one run of a configuration: settings in, a folder of results out."""
+
+from __future__ import annotations
+
+import json
+import math
+import shutil
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, replace
+from pathlib import Path
+
+import torch
+from omegaconf import DictConfig, OmegaConf
+
+from apcc_torch.configs.build import choice
+from apcc_torch.configs.schema import SimulateConfig
+from apcc_torch.configs.typed import typed
+from apcc_torch.errors import ConfigError
+from apcc_torch.experiments import dynamic, kinematic, replay
+from apcc_torch.experiments.folder import versions
+from apcc_torch.files import write_atomically, write_json
+
+EXPERIMENTS: dict[str, Callable[[SimulateConfig, Path], dict[str, float]]] = {
+    "dynamic": dynamic.run,
+    "kinematic": kinematic.run,
+    "replay": replay.run,
+}
+
+METRICS, PRUNED = "metrics.json", "pruned.json"
+
+
+def settings_of(cfg: DictConfig, folder: Path) -> SimulateConfig:
+    """Checks a composed configuration and leaves it, resolved, in the run's folder as config.yaml.
+
+    Raises:
+        ConfigError: A value is missing or of the wrong type.
+    """
+    config = typed(cfg, SimulateConfig)
+    write_atomically(folder / "config.yaml", OmegaConf.to_yaml(cfg, resolve=True))
+    return config
+
+
+def run(config: SimulateConfig, folder: Path) -> dict[str, float]:
+    """Runs the configured experiment into `folder`; its last file is metrics.json, or pruned.json.
+
+    With `prune.after` the run is first tried for that long. Where a row diverges, or the objective is above
+    `prune.above`, the whole run is not worth its time: pruned.json says so, and holds the metrics of the try.
+
+    Returns:
+        The metrics: of the whole run, or of the try if the run was pruned.
+
+    Raises:
+        ConfigError, ValueRangeError: A setting has no meaning.
+    """
+    if config.threads is not None:
+        torch.set_num_threads(config.threads)
+    experiment = EXPERIMENTS[choice("experiment.kind", config.experiment.kind, tuple(EXPERIMENTS))]
+    after = config.prune.after
+    if after is not None:
+        if not 0 < after < config.experiment.duration:
+            raise ConfigError(f"prune.after must be between 0 and experiment.duration, got {after}")
+        metrics = _tried(experiment, config, folder / "try", after)
+        why = _why_pruned(metrics, config)
+        if why is not None:
+            write_json(folder / "versions.json", {**versions(), "seed": config.seed})
+            write_json(folder / PRUNED, {"why": why, **pruning(config), "metrics": metrics})
+            return metrics
+    return experiment(config, folder)
+
+
+def pruning(config: SimulateConfig) -> dict[str, object]:
+    """The settings that decide which runs are pruned."""
+    return {"objective": config.objective, **asdict(config.prune)}
+
+
+def objective_value(metrics: Mapping[str, float], name: str) -> float:
+    """The metric that a search lowers: infinite where a row diverged or the metric is not finite.
+
+    Raises:
+        ConfigError: There is no such metric.
+    """
+    if name not in metrics:
+        raise ConfigError(f"objective must be one of {', '.join(metrics)}, got {name!r}")
+    value = metrics[name]
+    return value if math.isfinite(value) and not metrics.get("diverged_rows") else math.inf
+
+
+def objective_in(folder: Path, name: str | None) -> float | None:
+    """The objective of a finished run's folder: infinite for a pruned run, None if no objective is named.
+
+    Raises:
+        ConfigError: There is no such metric.
+    """
+    if name is None:
+        return None
+    if (folder / PRUNED).is_file():
+        return math.inf
+    return objective_value(json.loads((folder / METRICS).read_text(encoding="utf-8")), name)
+
+
+def _tried(
+    experiment: Callable[[SimulateConfig, Path], dict[str, float]], config: SimulateConfig, folder: Path, after: float
+) -> dict[str, float]:
+    """Metrics of the first `after` seconds; leaves no file."""
+    short = replace(config, figures=False, experiment=replace(config.experiment, duration=after))
+    try:
+        return experiment(short, folder)
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def _why_pruned(metrics: Mapping[str, float], config: SimulateConfig) -> str | None:
+    if metrics.get("diverged_rows"):
+        return f"{metrics['diverged_rows']:.0f} of {metrics['rows']:.0f} rows diverged within {config.prune.after} s"
+    if config.prune.above is None:
+        return None
+    if config.objective is None:
+        raise ConfigError("prune.above needs an objective")
+    value = objective_value(metrics, config.objective)
+    if value <= config.prune.above:
+        return None
+    return f"{config.objective} is {value:.4g} after {config.prune.after} s, above {config.prune.above:g}"
