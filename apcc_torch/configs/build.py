@@ -13,8 +13,10 @@ from apcc_torch.control.adaptation import AdaptiveLaw
 from apcc_torch.control.controller import APCCController
 from apcc_torch.control.inverse_kinematics import InverseKinematics
 from apcc_torch.control.pid import TendonPID
+from apcc_torch.control.residual_adaptation import TARGETS, ResidualLaw
 from apcc_torch.errors import ConfigError
 from apcc_torch.estimation.savitzky_golay import SavitzkyGolay
+from apcc_torch.estimation.sensor_curve import SensorCurve
 from apcc_torch.estimation.state_feedback import StateFeedback
 from apcc_torch.model.backbone import HANGING, PCCBackbone
 from apcc_torch.model.dynamics import SoftArmDynamics
@@ -193,6 +195,32 @@ class Builder:
             velocity=c.velocity_filter.velocity,
             bend_bound=k.bend_bound,
             elongation_bound=k.elongation_bound,
+            residual_law=self.residual_law(),
+        )
+
+    def residual_law(self) -> ResidualLaw | None:
+        """The law of the sensors' residuals; None without a target."""
+        r = self.config.residual
+        if r.target is None:
+            return None
+        curve = None
+        if choice("residual.target", r.target, TARGETS) == "curve":
+            tangents = r.tangents or ("spline" if self.config.feedback.mode == "position" else "measured")
+            curve = SensorCurve(self.base_rotation(), self.sensors_at(), tangents, r.samples)
+        return ResidualLaw(
+            self.first_estimate(),
+            r.target,
+            curve,
+            angular_weight=r.angular_weight,
+            time_constant=r.time_constant,
+            elongation_weight=r.elongation_weight,
+            nominal_weight=r.nominal_weight,
+            total_weight=r.total_weight,
+            damping=r.damping,
+            excitation=r.excitation,
+            memory=r.memory,
+            rate=r.rate,
+            gains=None if r.gains is None else self.vector("residual.gains", r.gains, self.n_sections),
         )
 
     def _reach(self, reach: Setting | None) -> Setting | None:

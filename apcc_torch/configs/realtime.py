@@ -13,6 +13,7 @@ from apcc_torch.configs.schema import (
     ExperimentConfig,
     FeedbackConfig,
     PlantConfig,
+    ResidualConfig,
     RobotConfig,
     SensorsConfig,
     SimulateConfig,
@@ -118,6 +119,7 @@ class RealtimeConfig:
     velocity_filter: VelocityFilterConfig = field(default_factory=VelocityFilterConfig)
     controller: ControllerConfig = field(default_factory=ControllerConfig)
     adaptation: AdaptationConfig = field(default_factory=AdaptationConfig)
+    residual: ResidualConfig = field(default_factory=ResidualConfig)
     experiment: ExperimentConfig = field(default_factory=ExperimentConfig)
     dry_run: bool = False
     view: bool = True
@@ -136,6 +138,7 @@ def model_settings(config: RealtimeConfig) -> SimulateConfig:
         "velocity_filter",
         "controller",
         "adaptation",
+        "residual",
         "experiment",
         "seed",
         "dtype",

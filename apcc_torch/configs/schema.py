@@ -113,6 +113,25 @@ class AdaptationConfig:
 
 
 @dataclass
+class ResidualConfig:
+    """The law of the sensors' residuals."""
+
+    target: str | None = None
+    tangents: str | None = None
+    samples: int = 8
+    angular_weight: float = 0.0
+    time_constant: float = 0.3
+    elongation_weight: float = 0.05
+    nominal_weight: float = 0.02
+    total_weight: float = 0.0
+    damping: float = 0.05
+    excitation: float = 0.0
+    memory: float = 0.0
+    rate: float = 0.1
+    gains: list[float] | None = None
+
+
+@dataclass
 class ReplayConfig:
     """How a recording is read."""
 
@@ -165,6 +184,7 @@ class SimulateConfig:
     velocity_filter: VelocityFilterConfig = field(default_factory=VelocityFilterConfig)
     controller: ControllerConfig = field(default_factory=ControllerConfig)
     adaptation: AdaptationConfig = field(default_factory=AdaptationConfig)
+    residual: ResidualConfig = field(default_factory=ResidualConfig)
     replay: ReplayConfig = field(default_factory=ReplayConfig)
     experiment: ExperimentConfig = field(default_factory=ExperimentConfig)
     state: str = "feedback"

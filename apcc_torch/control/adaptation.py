@@ -10,7 +10,7 @@ from apcc_torch.errors import ValueRangeError
 from apcc_torch.settings import Setting, aligned, check_setting, hold, is_used
 from apcc_torch.shapes import check_finite, check_same, check_tensor
 
-REGRESSORS = ("partial", "estimator_aware")
+REGRESSORS = ("partial", "estimator_aware", "none")
 
 
 class AdaptiveLaw(nn.Module):
@@ -30,7 +30,7 @@ class AdaptiveLaw(nn.Module):
     Args:
         n_sections: Number of parameters n_b.
         gamma: Adaptation gain Gamma, a number, a (n_b,) diagonal or (..., n_b, n_b).
-        regressor: "partial" or "estimator_aware".
+        regressor: "partial", "estimator_aware", or "none" where another law alone moves the parameters.
         lower: (..., n_b) smallest rest lengths, m; None for no bound.
         upper: (..., n_b) largest rest lengths, m; None for no bound.
         rate: Largest speed of a parameter, m/s; None for no bound. A row over it is scaled whole.
@@ -102,6 +102,8 @@ class AdaptiveLaw(nn.Module):
         check_tensor("Y", Y, (3, self.gamma.shape[-1]))
         check_tensor("e", e, (3,))
         check_same(Y=Y, e=e)
+        if self.regressor == "none":
+            return torch.zeros_like(Y[..., 0, :])
         gamma = self.gamma.to(dtype=Y.dtype, device=Y.device)
         velocity = -(gamma @ (Y.mT @ e.unsqueeze(-1))).squeeze(-1)  # Eq. (15)
         if self._normalised:
@@ -112,7 +114,7 @@ class AdaptiveLaw(nn.Module):
             velocity = velocity / (velocity.abs().amax(-1, keepdim=True) / aligned(self.rate, 1)).clamp(min=1.0)
         return velocity
 
-    def forward(self, pi_hat: Tensor, Y: Tensor, e: Tensor, dt: Tensor) -> Tensor:
+    def forward(self, pi_hat: Tensor, Y: Tensor, e: Tensor, dt: Tensor, other: Tensor | None = None) -> Tensor:
         """One step of the law, projected onto the bounds; (..., n_b) m.
 
         Args:
@@ -120,9 +122,11 @@ class AdaptiveLaw(nn.Module):
             Y: (..., 3, n_b) regressor.
             e: (..., 3) position error, m.
             dt: (...) step, s.
+            other: (..., n_b) what another law adds to the velocity, m/s; None for nothing.
         """
         check_tensor("pi_hat", pi_hat, (self.gamma.shape[-1],))
-        step = pi_hat + dt.unsqueeze(-1) * self.velocity(Y, e)
+        velocity = self.velocity(Y, e)
+        step = pi_hat + dt.unsqueeze(-1) * (velocity if other is None else velocity + other)
         # A step that is not finite is not taken: one bad measurement must not lose what was learnt.
         return self.project(torch.where(torch.isfinite(step), step, pi_hat))
 

@@ -8,12 +8,13 @@ from torch import Tensor, nn
 from apcc_torch.control.adaptation import AdaptiveLaw
 from apcc_torch.control.inverse_kinematics import InverseKinematics
 from apcc_torch.control.pid import within
+from apcc_torch.control.residual_adaptation import Evidence, ResidualLaw
 from apcc_torch.control.signals import Command, ControllerState, Measurement, Target
 from apcc_torch.errors import ValueRangeError
 from apcc_torch.estimation.savitzky_golay import SavitzkyGolay
-from apcc_torch.estimation.state_feedback import StateFeedback
+from apcc_torch.estimation.state_feedback import Inference, StateFeedback
 from apcc_torch.model.backbone import PCCBackbone, split_configuration
-from apcc_torch.model.chain import tip_jacobian
+from apcc_torch.model.chain import Chain, tip_jacobian
 from apcc_torch.model.regressor import jacobian_rate
 from apcc_torch.model.tendons import TendonRouting
 from apcc_torch.settings import Setting, check_setting, hold
@@ -47,6 +48,7 @@ class APCCController(nn.Module):
         reference_damping: T in y = B_hat^T (q_d - T qdot_bar), s. It damps the arm's swinging, which K alone, acting
             through an integral, excites once it exceeds twice the damping rate of the slowest mode. 0 for Eq. (49).
         integration_limit: Longest step that is integrated, s: after a pause the controller goes on, it does not leap.
+        residual_law: A law of the sensors' residuals, added to `law`, whose bounds hold for both; None for none.
 
     Raises:
         ValueRangeError: A setting is out of range.
@@ -69,6 +71,7 @@ class APCCController(nn.Module):
         elongation_bound: Setting | None = None,
         reference_damping: float = 0.0,
         integration_limit: float = 0.1,
+        residual_law: ResidualLaw | None = None,
     ) -> None:
         super().__init__()
         if velocity not in VELOCITIES:
@@ -88,6 +91,7 @@ class APCCController(nn.Module):
         self.velocity_filter = velocity_filter
         self.inverse_kinematics = inverse_kinematics
         self.law = law
+        self.residual_law = residual_law
         self.routing = routing
         self.adaptive = adaptive
         self.velocity = velocity
@@ -112,7 +116,10 @@ class APCCController(nn.Module):
         # Stamps keep their dtype: large ones need float64 even where the arm runs in float32.
         stamp = torch.zeros_like(q[..., 0]) if time is None else time.to(q.device).expand(batch)
         still = torch.zeros_like(q)
-        return ControllerState(q, still, pi_hat, q, still, self.velocity_filter.initial_state(q, stamp), stamp)
+        evidence = None if self.residual_law is None else self.residual_law.initial_evidence(pi_hat)
+        return ControllerState(
+            q, still, pi_hat, q, still, self.velocity_filter.initial_state(q, stamp), stamp, evidence
+        )
 
     def forward(
         self, state: ControllerState, measurement: Measurement, target: Target
@@ -138,26 +145,55 @@ class APCCController(nn.Module):
         filtered, qdot_bar = self.velocity_filter(state.velocity_filter, q_bar, measurement.time)
 
         # One chain serves the tip, its Jacobian and that Jacobian's rate.
-        if self.adaptive and self.law.regressor == "estimator_aware":
+        if self.adaptive and (self.law.regressor == "estimator_aware" or self.residual_law is not None):
             chain, followed = self.feedback.followed(inference, batch)
         else:
             chain, followed = self.backbone.chain(q_bar.expand(*batch, q_bar.shape[-1]), pi_hat), None
-        e = target.x_d - self._measured_tip(measurement, chain.tip)
+        x, tip_seen = self._measured_tip(measurement, chain.tip)
+        e = target.x_d - x
         qdot = self.inverse_kinematics(tip_jacobian(chain), e, target.xdot_d.expand_as(e), q_bar)
         q_d = self._bounded(state.q_d + dt.unsqueeze(-1) * qdot)
         # A step that is not finite is not taken: one bad measurement or target must not stay in the integral.
         q_d = torch.where(torch.isfinite(q_d), q_d, state.q_d)
+        evidence = state.evidence
         if self.adaptive:
-            used = qdot_bar if self.velocity == "measured" else qdot
-            if followed is None:
-                Y, _ = self.backbone.regressor(q_bar, used)
-            else:
-                rate = jacobian_rate(chain, split_configuration(used.expand(*batch, used.shape[-1])))
-                Y = _total_regressor(rate, followed)
-            pi_hat = self.law(pi_hat, Y, e, dt)
+            Y = self._regressor_on(chain, followed, q_bar, qdot_bar if self.velocity == "measured" else qdot, batch)
+            other = None
+            if self.residual_law is not None:
+                assert followed is not None  # asked for above
+                other, evidence = self._residual_velocity(
+                    inference, followed, measurement.T, dt.expand(batch), evidence
+                )
+            # Where the tip is not measured e is the model's own, and teaches nothing of the model.
+            pi_hat = self.law(pi_hat, Y, torch.where(tip_seen.unsqueeze(-1), e, 0.0), dt, other)
         y = None if self.routing is None else self.routing.lengths(q_d - self.reference_damping * qdot_bar, pi_hat)
-        later = ControllerState(q_bar, qdot_bar, pi_hat, q_d, qdot, filtered, measurement.time.expand_as(dt))
+        later = ControllerState(q_bar, qdot_bar, pi_hat, q_d, qdot, filtered, measurement.time.expand_as(dt), evidence)
         return later, Command(qdot, q_d, y, e, inference.feedback)
+
+    def _regressor_on(
+        self, chain: Chain, followed: Tensor | None, q_bar: Tensor, qdot: Tensor, batch: torch.Size
+    ) -> Tensor:
+        """The law's Y (..., 3, n_b) along qdot, on the chain of this step."""
+        if self.law.regressor == "none":
+            return torch.zeros(*batch, 3, self.backbone.n_sections, dtype=q_bar.dtype, device=q_bar.device)
+        if self.law.regressor == "partial":
+            return self.backbone.regressor(q_bar, qdot)[0]
+        assert followed is not None
+        rate = jacobian_rate(chain, split_configuration(qdot.expand(*batch, qdot.shape[-1])))
+        return _total_regressor(rate, followed)
+
+    def _residual_velocity(
+        self, inference: Inference, followed: Tensor, T: Tensor, dt: Tensor, evidence: Evidence | None
+    ) -> tuple[Tensor, Evidence | None]:
+        """What the residual law adds to pi_hat_dot (..., n_b), m/s, and its evidence."""
+        law, batch = self.residual_law, followed.shape[:-2]
+        assert law is not None
+        feedback, pi_hat, problem = inference
+        seen = problem.usable.all(-1)
+        if law.needs_orientations:
+            seen = seen & problem.oriented.all(-1)
+        q_bar, pi_hat = (v.expand(*batch, v.shape[-1]) for v in (feedback.q_bar, pi_hat))
+        return law(self.backbone, q_bar, pi_hat, followed, T, self.feedback.abscissae, dt, seen, evidence)
 
     def _check(self, state: ControllerState, measurement: Measurement, target: Target) -> torch.Size:
         """The leading shape of the step; raises where the arguments do not fit each other."""
@@ -190,8 +226,8 @@ class APCCController(nn.Module):
         followed = self.feedback.sensitivity(q, pi_hat, mask, angular_mask)
         return _total_regressor(self.backbone.tip_jacobian_rate(q, qdot, pi_hat), followed)
 
-    def _measured_tip(self, measurement: Measurement, x_hat: Tensor) -> Tensor:
-        """The measured end effector; the model's where the measurement is masked or not finite."""
+    def _measured_tip(self, measurement: Measurement, x_hat: Tensor) -> tuple[Tensor, Tensor]:
+        """The end effector and whether it was measured; the model's where the measurement is masked or not finite."""
         if measurement.tip is not None:
             x, seen = measurement.tip, torch.isfinite(measurement.tip).all(-1)
         else:
@@ -199,7 +235,7 @@ class APCCController(nn.Module):
             seen = torch.isfinite(x).all(-1)
             if measurement.mask is not None:
                 seen = seen & measurement.mask[..., -1]
-        return torch.where(seen.unsqueeze(-1), x, x_hat)
+        return torch.where(seen.unsqueeze(-1), x, x_hat), seen
 
     def _bounded(self, q_d: Tensor) -> Tensor:
         if self.bend_bound is None and self.elongation_bound is None:

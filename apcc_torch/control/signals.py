@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 from torch import Tensor
 
+from apcc_torch.control.residual_adaptation import Evidence
 from apcc_torch.estimation.savitzky_golay import SavitzkyGolayState
 from apcc_torch.estimation.state_feedback import Feedback
 
@@ -65,6 +66,7 @@ class ControllerState(NamedTuple):
     qdot: (..., 3 n_b) last commanded velocity.
     velocity_filter: State of the Savitzky-Golay filter.
     time: (...) stamp of the last measurement, s.
+    evidence: What a `ResidualLaw` with memory remembers; None without one.
     """
 
     q_bar: Tensor
@@ -74,3 +76,4 @@ class ControllerState(NamedTuple):
     qdot: Tensor
     velocity_filter: SavitzkyGolayState
     time: Tensor
+    evidence: Evidence | None = None

@@ -1,0 +1,234 @@
+"""Adaptation from what the sensors leave unexplained: the rest lengths follow a residual that feedback cannot hide.
+
+The task error of Eq. (15) is made small by feedback whatever the rest lengths are, so on a loaded arm it says little
+about them. The residual between the model and the sensors stays. Algorithm 2 removes what the configuration can, so a
+residual r of the model at (q_bar(pi), pi) changes with the total derivative
+
+    A = dr/dq dq_bar/dpi + dr/dpi,
+
+and the law takes Gauss-Newton steps of
+
+    V(pi) = |r|^2 / m + mu^2 |dL|^2 + kappa^2 |pi - pi_0|^2 + sigma^2 (sum pi - sum pi_0)^2:
+
+the residual, the elongations Psi that the model needs, and two priors, on the nominal lengths and on their sum.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor, nn
+
+from apcc_torch.errors import ConfigError, ValueRangeError
+from apcc_torch.estimation.sensor_curve import SensorCurve
+from apcc_torch.lie import se3
+from apcc_torch.linalg import solve_spd
+from apcc_torch.model.abscissae import located
+from apcc_torch.model.backbone import PCCBackbone
+from apcc_torch.model.chain import body_jacobian
+from apcc_torch.shapes import check_finite, check_tensor
+
+TARGETS = ("curve", "sensors")
+
+
+class Evidence(NamedTuple):
+    """What past residuals say: their quadratic model around the present parameters, forgotten with time.
+
+    information: (..., n_b, n_b). gradient: (..., n_b), m.
+    """
+
+    information: Tensor
+    gradient: Tensor
+
+
+class Residual(NamedTuple):
+    """A residual r (..., m) and its total derivative A (..., m, n_b) with respect to the rest lengths."""
+
+    value: Tensor
+    derivative: Tensor
+
+
+class ResidualLaw(nn.Module):
+    """pi_hat_dot = (H + lambda^2 I)^-1 g / tau, a Gauss-Newton flow of V; see the module's head.
+
+    Targets:
+
+    - "curve": distances, across the backbone, between the model and the `SensorCurve`. Between the sensors the curve
+      knows the true shape better than any single arc does, and where the sections end is what decides how well arcs can
+      follow it.
+    - "sensors": the weighted residual of algorithm 2 itself. Where algorithm 2 has converged, J_b^T W r = 0, so the
+      gradient A^T r is the partial one, and with `memory` the law is the joint least-squares estimate of (q, pi) over a
+      window, pi a random walk: an extended Kalman filter whose fast states are eliminated at every sample.
+
+    Args:
+        nominal: (n_b,) pi_0, m.
+        target: "curve" or "sensors".
+        curve: For target "curve".
+        angular_weight: For target "sensors", metres that a radian counts as; 0 for positions alone.
+        time_constant: tau, s.
+        elongation_weight: mu.
+        nominal_weight: kappa.
+        total_weight: sigma.
+        damping: lambda, m/m: directions in which the residual moves by less per metre are followed slowly.
+        excitation: Directions of the data in which the residual moves by less than this, m/m, are not followed at all.
+        memory: s over which past residuals count; 0 for the present one alone.
+        rate: Largest speed of a parameter, m/s. A row over it is scaled whole.
+        gains: (n_b,) factor on each section's speed; None for one.
+
+    Raises:
+        ConfigError: The target needs a curve and has none.
+        ValueRangeError: A setting is out of range.
+    """
+
+    nominal: Tensor
+    gains: Tensor
+
+    def __init__(
+        self,
+        nominal: Tensor,
+        target: str = "curve",
+        curve: SensorCurve | None = None,
+        angular_weight: float = 0.0,
+        time_constant: float = 0.3,
+        elongation_weight: float = 0.05,
+        nominal_weight: float = 0.02,
+        total_weight: float = 0.0,
+        damping: float = 0.05,
+        excitation: float = 0.0,
+        memory: float = 0.0,
+        rate: float = 0.1,
+        gains: Tensor | None = None,
+    ) -> None:
+        super().__init__()
+        if target not in TARGETS:
+            raise ValueRangeError(f"target must be one of {', '.join(TARGETS)}, got {target!r}")
+        if target == "curve" and curve is None:
+            raise ConfigError("target curve needs a curve")
+        for name, value in {"time_constant": time_constant, "damping": damping, "rate": rate}.items():
+            if not 0 < value < float("inf"):
+                raise ValueRangeError(f"{name} must be positive and finite, got {value}")
+        weights = {
+            "angular_weight": angular_weight,
+            "elongation_weight": elongation_weight,
+            "nominal_weight": nominal_weight,
+            "total_weight": total_weight,
+            "excitation": excitation,
+            "memory": memory,
+        }
+        for name, value in weights.items():
+            if not 0 <= value < float("inf"):
+                raise ValueRangeError(f"{name} must be zero or positive and finite, got {value}")
+        check_finite("nominal", check_tensor("nominal", nominal, (None,)))
+        gains = torch.ones_like(nominal) if gains is None else check_tensor("gains", gains, (nominal.shape[-1],))
+        if not bool((check_finite("gains", gains) >= 0).all()):
+            raise ValueRangeError(f"gains must be zero or positive, got {gains.tolist()}")
+        self.target = target
+        self.curve = curve
+        self.angular_weight = angular_weight
+        self.time_constant = time_constant
+        self.elongation_weight = elongation_weight
+        self.nominal_weight = nominal_weight
+        self.total_weight = total_weight
+        self.damping = damping
+        self.excitation = excitation
+        self.memory = memory
+        self.rate = rate
+        self.register_buffer("nominal", nominal.detach().clone())
+        self.register_buffer("gains", gains.detach().clone())
+
+    @property
+    def needs_orientations(self) -> bool:
+        """Whether the residual is made of measured orientations too."""
+        return self.angular_weight > 0.0 if self.curve is None else self.curve.tangents == "measured"
+
+    def initial_evidence(self, pi_hat: Tensor) -> Evidence | None:
+        """No evidence yet, of the shape of pi_hat (..., n_b); None for a law without memory."""
+        if self.memory == 0.0:
+            return None
+        n_b = pi_hat.shape[-1]
+        return Evidence(pi_hat.new_zeros(*pi_hat.shape, n_b), torch.zeros_like(pi_hat))
+
+    def residual(
+        self, backbone: PCCBackbone, q: Tensor, pi: Tensor, followed: Tensor, T: Tensor, abscissae: Tensor
+    ) -> Residual:
+        """The target's residual at (q, pi), all of one leading shape; unchecked.
+
+        Args:
+            backbone: The model.
+            q: (..., 3 n_b) q_bar.
+            pi: (..., n_b) m.
+            followed: (..., 3 n_b, n_b) dq_bar/dpi, from `StateFeedback.sensitivity`.
+            T: (..., k, 4, 4) measured poses.
+            abscissae: (k,) of the sensors, m.
+        """
+        X = (abscissae if self.curve is None else self.curve.abscissae).to(pi)
+        X = X.expand(*pi.shape[:-1], X.shape[-1])
+        points = backbone.material_points(pi, *located(X, pi))
+        chain = backbone.chain_to(q, points)
+        body = body_jacobian(chain, points.fraction)
+        moved = body @ followed.unsqueeze(-3) + backbone.parameter_columns(q, pi, X, points, body)
+        if self.curve is None:
+            twist = se3.log(se3.inverse(se3.pose(chain.rotation, chain.tip)) @ T)
+            weight = torch.ones(6, dtype=pi.dtype, device=pi.device)
+            weight[:3] = self.angular_weight
+            return Residual((twist * weight).flatten(-2), (moved * weight.unsqueeze(-1)).flatten(-3, -2))
+        # Across the backbone only: how far along it a point lies is a matter of stretch, not of shape. In the point's
+        # own axes the backbone runs along z.
+        off = (chain.rotation.mT @ (self.curve(T) - chain.tip).unsqueeze(-1))[..., :2, 0]
+        return Residual(off.flatten(-2), moved[..., 3:5, :].flatten(-3, -2))
+
+    def forward(
+        self,
+        backbone: PCCBackbone,
+        q: Tensor,
+        pi: Tensor,
+        followed: Tensor,
+        T: Tensor,
+        abscissae: Tensor,
+        dt: Tensor,
+        seen: Tensor,
+        evidence: Evidence | None = None,
+    ) -> tuple[Tensor, Evidence | None]:
+        """pi_hat_dot (..., n_b), m/s, and the evidence after this sample; zero in rows that are not seen or not finite.
+
+        Args:
+            backbone, q, pi, followed, T, abscissae: As in `residual`.
+            dt: (...) s since the last sample.
+            seen: (...) bool, rows all of whose sensors count.
+            evidence: From `initial_evidence` or the last step.
+        """
+        r, A = self.residual(backbone, q, pi, followed, T, abscissae)
+        m = r.shape[-1]
+        H, g = A.mT @ A / m, (A.mT @ r.unsqueeze(-1)).squeeze(-1) / m
+        good = seen & torch.isfinite(g).all(-1) & torch.isfinite(H).all(-1).all(-1)
+        H, g = torch.where(good[..., None, None], H, 0.0), torch.where(good[..., None], g, 0.0)
+        if evidence is not None:
+            keep = torch.exp(-dt / self.memory)
+            H = torch.lerp(H, evidence.information, keep[..., None, None])
+            g = torch.lerp(g, evidence.gradient, keep[..., None])
+        H_data, g_data = H, g
+        if self.excitation > 0.0:
+            values, directions = torch.linalg.eigh(H)
+            followed_ones = directions * (values > self.excitation**2).to(H.dtype).unsqueeze(-2)
+            g = (followed_ones @ (directions.mT @ g.unsqueeze(-1))).squeeze(-1)
+        step = self._step(H, g, q, pi, followed)
+        velocity = self.gains.to(pi) * step / self.time_constant
+        velocity = velocity / (velocity.abs().amax(-1, keepdim=True) / self.rate).clamp(min=1.0)
+        velocity = torch.where(good.unsqueeze(-1), velocity, 0.0)
+        if evidence is None:
+            return velocity, None
+        moved = (H_data @ (dt.unsqueeze(-1) * velocity).unsqueeze(-1)).squeeze(-1)
+        return velocity, Evidence(H_data, g_data - moved)
+
+    def _step(self, H: Tensor, g: Tensor, q: Tensor, pi: Tensor, followed: Tensor) -> Tensor:
+        """The damped Gauss-Newton step of V (..., n_b), m."""
+        n_b = pi.shape[-1]
+        mu2, kappa2, sigma2 = self.elongation_weight**2, self.nominal_weight**2, self.total_weight**2
+        identity = torch.eye(n_b, dtype=pi.dtype, device=pi.device)
+        short = self.nominal.to(pi) - pi
+        stretched = followed[..., 2::3, :]
+        H = H + mu2 * (stretched.mT @ stretched) + (kappa2 + self.damping**2) * identity + sigma2
+        g = g - mu2 * (stretched.mT @ q[..., 2::3].unsqueeze(-1)).squeeze(-1)
+        g = g + kappa2 * short + sigma2 * short.sum(-1, keepdim=True)
+        return solve_spd(H, g.unsqueeze(-1)).squeeze(-1)

@@ -1,0 +1,103 @@
+"""A smooth curve from the arm's base through its sensors: what the sensors say of the shape between them.
+
+The model's sections end where its rest lengths say; the curve knows nothing of them. Each piece between neighbouring
+sensors is a cubic Hermite polynomial. Its end tangents are the sensors' own axes where orientations are measured;
+where only positions are, they are those of the cubic spline that leaves the base along its axis and ends straight.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor, nn
+
+from apcc_torch.errors import ValueRangeError
+from apcc_torch.shapes import check_finite, check_same, check_tensor
+
+TANGENTS = ("measured", "spline")
+
+
+class SensorCurve(nn.Module):
+    """Points on the curve through the base and k sensors.
+
+    Args:
+        base_rotation: (3, 3) base of the arm in the world; the arm leaves the origin along its z axis.
+        abscissae: (k,) material abscissae of the sensors, m, increasing, the first beyond the base.
+        tangents: "measured", the sensors' z axes; "spline", from the positions alone.
+        samples: Points on each of the k pieces, the last of them on its sensor.
+
+    Raises:
+        ValueRangeError: A sensor lies on the base, the abscissae do not increase, or a setting is unknown.
+    """
+
+    base_axis: Tensor
+    abscissae: Tensor
+    shares: Tensor
+
+    def __init__(self, base_rotation: Tensor, abscissae: Tensor, tangents: str = "measured", samples: int = 8) -> None:
+        super().__init__()
+        check_tensor("base_rotation", base_rotation, (3, 3))
+        check_finite("abscissae", check_tensor("abscissae", abscissae, (None,)))
+        if tangents not in TANGENTS:
+            raise ValueRangeError(f"tangents must be one of {', '.join(TANGENTS)}, got {tangents!r}")
+        if samples < 1:
+            raise ValueRangeError(f"samples must be at least 1, got {samples}")
+        ends = torch.cat((torch.zeros_like(abscissae[:1]), abscissae.detach()))
+        if abscissae.shape[0] == 0 or bool((ends.diff() <= 0).any()):
+            raise ValueRangeError(f"abscissae must increase from beyond the base, got {abscissae.tolist()}")
+        self.tangents = tangents
+        share = torch.arange(1, samples + 1, dtype=abscissae.dtype, device=abscissae.device) / samples
+        self.register_buffer("base_axis", base_rotation.detach()[:, 2].clone())
+        self.register_buffer("shares", share)
+        self.register_buffer("abscissae", (ends[:-1, None] + ends.diff()[:, None] * share).flatten())
+
+    def forward(self, T: Tensor) -> Tensor:
+        """Points (..., k samples, 3) m, world frame, at the material abscissae `abscissae` of an evenly stretched arm.
+
+        Args:
+            T: (..., k, 4, 4) sensor poses, world frame, m.
+
+        Raises:
+            ShapeError, DtypeError: T does not fit.
+        """
+        check_tensor("T", T, (self.abscissae.shape[0] // self.shares.shape[0], 4, 4))
+        check_same(T=T, abscissae=self.abscissae.to(T.dtype))
+        base = torch.zeros_like(T[..., :1, :3, 3])
+        axis = self.base_axis.to(T).expand_as(base)
+        position = torch.cat((base, T[..., :3, 3]), dim=-2)
+        start, end = position[..., :-1, :], position[..., 1:, :]
+        chord = (end - start).norm(dim=-1, keepdim=True)
+        tangent = torch.cat((axis, T[..., :3, 2]), dim=-2) if self.tangents == "measured" else _spline(axis, position)
+        # The length of the arc with this chord between these tangents: c h / sin h with h half their angle.
+        cosine = (tangent[..., :-1, :] * tangent[..., 1:, :]).sum(-1, keepdim=True)
+        half = 0.5 * torch.acos(cosine.clamp(-1.0 + 1e-9, 1.0 - 1e-9))
+        speed = chord * half / torch.sin(half)
+        u = self.shares.to(T).unsqueeze(-1)
+        u2, u3 = u * u, u * u * u
+        start, end, leave, arrive = (
+            value.unsqueeze(-2) for value in (start, end, speed * tangent[..., :-1, :], speed * tangent[..., 1:, :])
+        )
+        points = (2 * u3 - 3 * u2 + 1) * start + (u3 - 2 * u2 + u) * leave
+        return (points + (3 * u2 - 2 * u3) * end + (u3 - u2) * arrive).flatten(-3, -2)
+
+
+def _spline(axis: Tensor, position: Tensor) -> Tensor:
+    """(..., m, 3) unit tangents of the cubic spline through m points that leaves along `axis` and ends uncurved."""
+    m = position.shape[-2]
+    step = position.diff(dim=-2)
+    inverse = step.norm(dim=-1, keepdim=True).clamp(min=torch.finfo(step.dtype).tiny).reciprocal()
+    slope = step * inverse
+    zero = torch.zeros_like(inverse[..., :1, :])
+    before, after = torch.cat((zero, inverse), dim=-2), torch.cat((inverse, zero), dim=-2)
+    # Continuous second derivatives inside, none at the end: a tridiagonal system for the tangents.
+    matrix = torch.diag_embed(2.0 * (before + after).squeeze(-1))
+    matrix = matrix + torch.diag_embed(inverse.squeeze(-1), 1) + torch.diag_embed(inverse.squeeze(-1), -1)
+    pull = slope * inverse
+    none = torch.zeros_like(pull[..., :1, :])
+    right = 3.0 * (torch.cat((none, pull), dim=-2) + torch.cat((pull, none), dim=-2))
+    first = torch.zeros(m, dtype=torch.bool, device=position.device)
+    first[0] = True
+    identity = torch.eye(m, dtype=position.dtype, device=position.device)
+    matrix = torch.where(first.unsqueeze(-1), identity, matrix)
+    right = torch.where(first.unsqueeze(-1), axis, right)
+    tangent = torch.linalg.solve_ex(matrix, right).result  # two sensors in one place: no error, no finite row
+    return tangent / tangent.norm(dim=-1, keepdim=True)
