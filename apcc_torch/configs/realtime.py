@@ -7,6 +7,7 @@ from typing import Any
 
 from omegaconf import MISSING
 
+from apcc_torch.configs.hardware import HardwareConfig
 from apcc_torch.configs.schema import (
     AdaptationConfig,
     ControllerConfig,
@@ -19,26 +20,6 @@ from apcc_torch.configs.schema import (
     SimulateConfig,
     VelocityFilterConfig,
 )
-
-
-@dataclass
-class SimulatedConfig:
-    """The simulated arm's devices."""
-
-    lockstep: bool = False
-    step: float = 5e-3
-    frame_rate: float = 50.0
-    frame_latency: float = 8e-3
-    motor_speed: float = 0.3
-    resolution: float = 1.5e-5
-
-
-@dataclass
-class HardwareConfig:
-    """Which devices."""
-
-    kind: str = MISSING
-    simulated: SimulatedConfig = field(default_factory=SimulatedConfig)
 
 
 @dataclass

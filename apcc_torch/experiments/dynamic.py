@@ -14,13 +14,14 @@ from apcc_torch.configs.build import Builder
 from apcc_torch.configs.schema import SimulateConfig
 from apcc_torch.control.inverse_kinematics import elongation_cost
 from apcc_torch.experiments.folder import RunFolder, progress_bar
+from apcc_torch.model.abscissae import decouple
 from apcc_torch.model.backbone import PCCBackbone
 from apcc_torch.report import dynamic as figures
 from apcc_torch.report.animation import save_animation
 from apcc_torch.report.backbone_drawing import Snapshots, marker_positions, spread_indices, stroboscopic_figure
 from apcc_torch.report.style import save_figures
 from apcc_torch.simulation.dynamic import DynamicLog, DynamicSettings, simulate_dynamic
-from apcc_torch.simulation.metrics import backbone_error, mapping_error
+from apcc_torch.simulation.metrics import backbone_error, mapping_error, orientation_error
 from apcc_torch.simulation.progress import Progress
 from apcc_torch.simulation.trajectory import Trajectory
 
@@ -134,11 +135,15 @@ def curves(log: DynamicLog, arms: Arms) -> figures.RunCurves:
     with torch.inference_mode():
         shape = backbone_error(arms.true, log.q_true, arms.true_lengths, arms.model, log.q_bar, log.pi_hat)
         mapped = mapping_error(arms.model, log.q_d, log.pi_hat, log.x)
+        # Of all runs alike: algorithm 2 reports no angles where it fits positions alone.
+        places = decouple(arms.sensors, arms.true_lengths)
+        rotation = arms.true.pose(log.q_true, arms.true_lengths, *places)[..., :3, :3]
+        angular = orientation_error(arms.model, log.q_bar, log.pi_hat, arms.sensors, rotation)
     return figures.RunCurves(
         time=log.time,
         shape_error=shape,
         psi=elongation_cost(log.q_bar),
-        angular=log.angular_error,
+        angular=angular,
         linear=log.linear_error,
         e=(log.x_d - log.x).norm(dim=-1),
         pi_hat=log.pi_hat,

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from apcc_torch.configs.schema import SimulateConfig
 from apcc_torch.experiments.dynamic import Arms, curves, dynamic_metrics, simulate, thinned
+from apcc_torch.experiments.paper_limits import Limits, limits
 from apcc_torch.report.dynamic import RunCurves
 from apcc_torch.simulation.dynamic import DynamicLog
 
@@ -17,12 +18,13 @@ HELD_OUT, SINGLE = "_held_out", "_single"
 
 
 class Outcome(NamedTuple):
-    """One controller over R rows, thinned in time."""
+    """One controller over R rows, thinned in time; with the limits of its motion where it is the standard one."""
 
     log: DynamicLog
     arms: Arms
     curves: RunCurves
     metrics: Mapping[str, float]
+    limits: Limits | None = None
 
     def rows(self, index: Sequence[int]) -> Outcome:
         """Some rows alone, with their own metrics."""
@@ -31,7 +33,8 @@ class Outcome(NamedTuple):
         time, diverged_at = timed.pop("time"), timed.pop("diverged_at")[at]
         log = DynamicLog(time=time, diverged_at=diverged_at, **{name: field[:, at] for name, field in timed.items()})
         c = RunCurves(self.curves.time, *(field[:, at] for field in self.curves[1:]))
-        return Outcome(log, self.arms, c, grid_metrics(c, log.diverged_at))
+        limits = None if self.limits is None else self.limits.rows(at)
+        return Outcome(log, self.arms, c, grid_metrics(c, log.diverged_at), limits)
 
 
 Outcomes = Mapping[str, Mapping[str, Outcome]]
@@ -65,7 +68,8 @@ def outcome(config: SimulateConfig, adaptive: bool, label: str) -> Outcome:
     thin = thinned(log)
     c = curves(thin, arms)
     metrics = grid_metrics(c, thin.diverged_at)
-    return Outcome(thin, arms, c, metrics | {"wall_s": time.perf_counter() - started})
+    found = None if adaptive else limits(config, thin, arms)
+    return Outcome(thin, arms, c, metrics | {"wall_s": time.perf_counter() - started}, found)
 
 
 def held_out_rows(setpoints: int, payloads: int) -> list[int]:

@@ -44,7 +44,7 @@ HEADLINES = ("shape_error_mean_mm", "shape_error_max_mm", "psi_mean_cm", "end_ef
 NOTHING = 1e-9
 """A value below this is rounding: the arm hangs straight at first, where the model's shape is exact."""
 COLUMNS = ("metric", "paper standard", "paper adaptive", "paper change %",
-           "ours standard", "ours adaptive", "ours change %", "paper's figure")  # fmt: skip
+           "ours standard", "ours adaptive", "ours change %", "limit", "paper's figure")  # fmt: skip
 
 
 def change_percent(standard: float, adaptive: float) -> float | None:
@@ -54,20 +54,30 @@ def change_percent(standard: float, adaptive: float) -> float | None:
     return 100.0 * (adaptive - standard) / standard
 
 
-def cell(standard: float, adaptive: float) -> Cell:
-    """One entry of table.json. `limit`, the best any parameters could reach, is None: it is not fitted."""
+def gap_closed_percent(standard: float, adaptive: float, limit: float) -> float | None:
+    """How much of the way from the standard controller's value to the limit is gone; None where there is no way."""
+    gap = standard - limit
+    return 100.0 * (standard - adaptive) / gap if isfinite(gap) and isfinite(adaptive) and gap > NOTHING else None
+
+
+def cell(standard: float, adaptive: float, limit: float | None = None) -> Cell:
+    """One entry of table.json. `limit` is the best that any rest lengths could reach, see `paper_limits`, or None."""
     return {
         "standard": standard if isfinite(standard) else None,
         "adaptive": adaptive if isfinite(adaptive) else None,
-        "limit": None,
+        "limit": limit,
         "change_percent": change_percent(standard, adaptive),
+        "gap_closed_percent": None if limit is None else gap_closed_percent(standard, adaptive, limit),
     }
 
 
 def run_cells(both: Mapping[str, Outcome]) -> dict[str, Cell]:
     """Metric -> cell of one run; the time taken is no result."""
     standard, adaptive = both["standard"].metrics, both["adaptive"].metrics
-    return {name: cell(standard[name], adaptive[name]) for name in standard if name != "wall_s" and name in adaptive}
+    found = both["standard"].limits
+    limit = {} if found is None else found.metrics()
+    names = [name for name in standard if name != "wall_s" and name in adaptive]
+    return {name: cell(standard[name], adaptive[name], limit.get(name)) for name in names}
 
 
 def table(results: Mapping[str, Outcomes]) -> dict[str, dict[str, dict[str, Cell]]]:
@@ -134,7 +144,7 @@ def text(results: Mapping[str, Outcomes], about: Mapping[str, str] | None = None
             lines += ["", title(run, both["standard"]), *_rows(run, run_cells(both), notes)]
             if run in LEFT_OUT:
                 lines.append(f"  ({LEFT_OUT[run]})")
-    widths = [max(len(row[i]) for row in (COLUMNS, *(x for x in lines if isinstance(x, tuple)))) for i in range(8)]
+    widths = [max(len(row[i]) for row in (COLUMNS, *(x for x in lines if isinstance(x, tuple)))) for i in range(9)]
 
     def laid(row: tuple[str, ...]) -> str:
         middle = (word.rjust(width) for word, width in zip(row[1:-1], widths[1:-1], strict=True))
@@ -144,7 +154,8 @@ def text(results: Mapping[str, Outcomes], about: Mapping[str, str] | None = None
     body = [line if isinstance(line, str) else laid(line) for line in lines]
     legend = [
         "", "Means, minima and maxima are over all runs and moments; an edge over time is the least or largest of the",
-        "runs, averaged over time. A diverged run stays in, held where it left its bounds.",
+        "runs, averaged over time. The limit is the least that any rest lengths could leave on the motion under the",
+        "standard controller, each metric by itself. A diverged run stays in, held where it left its bounds.",
         *(f"[{i + 1}] {note}" for i, note in enumerate(notes)),
     ]  # fmt: skip
     return "\n".join([laid(COLUMNS), rule, *body, *legend]) + "\n"
@@ -155,8 +166,8 @@ def _rows(run: str, cells: Mapping[str, Cell], notes: list[str]) -> list[tuple[s
     shown = HEADLINES if part and run not in PUBLISHED else tuple(LABELS)
     rows: list[tuple[str, ...]] = []
     for metric in shown:
-        if metric not in cells or ("angular" in metric and not cells[metric]["standard"]):
-            continue  # positions alone leave no angular error to speak of
+        if metric not in cells:
+            continue
         if "_edge_" in metric and run.endswith(SINGLE):
             continue  # the edges over one run are its mean
         ours, paper = cells[metric], published(run, metric) or Published(None, None, None, "")
@@ -168,7 +179,8 @@ def _rows(run: str, cells: Mapping[str, Cell], notes: list[str]) -> list[tuple[s
         rows.append(
             (
                 LABELS[metric], number(paper.standard), number(paper.adaptive), percent(paper.change),
-                number(ours["standard"]), number(ours["adaptive"]), percent(ours["change_percent"]), source,
+                number(ours["standard"]), number(ours["adaptive"]), percent(ours["change_percent"]),
+                number(ours["limit"]), source,
             )
         )  # fmt: skip
     return rows

@@ -95,13 +95,17 @@ class Calibration:
             raise DataError(f"{recording.source}: has the bodies {recording.names}, the calibration {self.names}")
         return self.poses(recording.position, recording.rotation)
 
-    def save(self, path: str | Path) -> None:
-        """Writes the calibration as JSON, atomically, every number exactly."""
+    def content(self) -> dict[str, object]:
+        """Plain values for a file, every number exactly; `of` takes them."""
         content: dict[str, object] = {"kind": _KIND, "version": VERSION}
         for field in dataclasses.fields(self):
             value = getattr(self, field.name)
             content[field.name] = value.tolist() if isinstance(value, Tensor) else value
-        write_atomically(path, json.dumps(content, indent=1) + "\n")
+        return content
+
+    def save(self, path: str | Path) -> None:
+        """Writes the calibration as JSON, atomically, every number exactly."""
+        write_atomically(path, json.dumps(self.content(), indent=1) + "\n")
 
     @staticmethod
     def load(path: str | Path) -> Calibration:
@@ -116,6 +120,19 @@ class Calibration:
             raise DataError(f"{path}: cannot be read ({error.strerror})") from error
         except ValueError as error:
             raise DataError(f"{path}: is not a JSON file ({error})") from error
+        return Calibration.of(content, path)
+
+    @staticmethod
+    def of(content: object, path: str | Path) -> Calibration:
+        """The calibration that `content` gave, in float64.
+
+        Args:
+            content: Plain values.
+            path: The file they came from, for messages.
+
+        Raises:
+            DataError: They are damaged, or of another kind or version.
+        """
         if not isinstance(content, dict) or content.get("kind") != _KIND:
             raise DataError(f"{path}: is not a calibration")
         if content.get("version") != VERSION:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from apcc_torch.lie import so3
+from apcc_torch.model.abscissae import decouple
 from apcc_torch.model.arc import squared_bend
 from apcc_torch.model.backbone import PCCBackbone
 from apcc_torch.shapes import check_same, check_tensor
@@ -103,3 +105,18 @@ def mapping_error(model: PCCBackbone, q_d: Tensor, pi_hat: Tensor, x_measured: T
         x_measured: (..., 3) measured tip, m.
     """
     return (model.tip(q_d, pi_hat) - x_measured).norm(dim=-1)  # Eq. (53)
+
+
+def orientation_error(model: PCCBackbone, q: Tensor, pi_hat: Tensor, abscissae: Tensor, rotation: Tensor) -> Tensor:
+    """Angles (..., k) rad between the model's orientations at the sensors and the true ones, measured or not.
+
+    Args:
+        model: The model.
+        q: (..., n) its configuration.
+        pi_hat: (..., n_b) m.
+        abscissae: (k,) of the sensors, m.
+        rotation: (..., k, 3, 3) true orientations.
+    """
+    pi_hat = pi_hat.expand(*q.shape[:-1], pi_hat.shape[-1])
+    T = model.pose(q, pi_hat, *decouple(abscissae.to(q), pi_hat))
+    return so3.log(T[..., :3, :3].mT @ rotation).norm(dim=-1)

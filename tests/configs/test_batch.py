@@ -19,7 +19,7 @@ def same(*changes: str, experiment: str = "dynamic_run_2") -> bool:
     "change",
     [
         *("controller.gamma=3", "controller.K=2", "controller.damping=0.1", "controller.bend_bound=2"),
-        *("adaptation.gain_scale=1", "adaptation.lower=[0.05,0.1,0.1]", "adaptation.rate=0.2"),
+        *("adaptation.gain_scale=1", "adaptation.lower=[0.05,0.1,0.1]", "adaptation.dead_zone=0.2"),
         *("robot.rest_lengths=[0.1,0.2,0.3]", "robot.sensors=[0.1,0.2,0.3]", "velocity_filter.window=5"),
         *("feedback.angular_weight=0.2", "plant.mass=2", "plant.lengths=[0.1,0.1,0.1,0.1,0.1,0.1]", "plant.K_P=500"),
         *("experiment.payloads=[0.1,0.2,0.3]",),
@@ -33,7 +33,7 @@ def test_other_numbers_share_a_batch(change: str) -> None:
     "change",
     [
         *("velocity_filter.order=3", "feedback.mode=position", "feedback.max_iterations=3", "controller.rate=50"),
-        *("controller.adaptive=false", "adaptation.regressor=partial", "adaptation.reach=0.5", "adaptation.rate=null"),
+        *("controller.adaptive=false", "adaptation.regressor=partial", "adaptation.reach=0.5", "adaptation.rate=0.2"),
         *("robot.rest_lengths=[0.1,0.2]", "robot.racks=[0.1,0.2,0.3]", "robot.base=standing", "plant.substeps=4"),
         *("experiment.duration=1", "experiment.payloads=[0.1]", "plant.layout=independent", "seed=1", "dtype=float32"),
         *("sensors.position_noise=1e-3", "sensors.delay=1", "controller.gamma=[1,2,3]"),

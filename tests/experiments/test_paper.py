@@ -215,9 +215,12 @@ def test_table_has_the_documented_form(results: dict[str, Outcomes]) -> None:
     assert set(found) == {"A"}
     for runs in found["A"].values():
         assert "wall_s" not in runs and "shape_error_mean_mm" in runs
-        for entry in runs.values():
-            assert list(entry) == ["standard", "adaptive", "limit", "change_percent"]
-            assert entry["limit"] is None
+        for name, entry in runs.items():
+            assert list(entry) == ["standard", "adaptive", "limit", "change_percent", "gap_closed_percent"]
+            if "shape_error_m" in name or name.startswith("sensor"):
+                # The limit is taken at fewer instants than the mean, so it may lie above it by a little.
+                assert entry["limit"] is not None and entry["standard"] is not None
+                assert 0.0 <= entry["limit"] < 1.1 * entry["standard"] + 0.1
     mine = found["A"]["run_2"]["psi_mean_cm"]
     assert mine["standard"] == results["A"]["run_2"]["standard"].metrics["psi_mean_cm"]
 

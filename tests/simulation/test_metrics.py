@@ -7,8 +7,10 @@ import torch
 from hypothesis import given
 
 from apcc_torch.errors import DtypeError, ShapeError
+from apcc_torch.estimation.state_feedback import StateFeedback
+from apcc_torch.model.abscissae import decouple
 from apcc_torch.model.backbone import PCCBackbone
-from apcc_torch.simulation.metrics import backbone_error, mapping_error, shape_error
+from apcc_torch.simulation.metrics import backbone_error, mapping_error, orientation_error, shape_error
 from arms import PI, PI_HAT, configurations, rest_lengths
 from laws import generator, normal, seeds
 
@@ -70,3 +72,14 @@ def test_refusals() -> None:
         shape_error(p[:, :2], p)
     with pytest.raises(DtypeError, match="p_approx"):
         shape_error(p, p.double())
+
+
+def test_orientation_error_is_what_algorithm_2_reports_of_poses() -> None:
+    backbone, rng = PCCBackbone(3), generator(3)
+    sensors = torch.tensor([0.1, 0.3, 0.55], dtype=torch.float64)
+    T = backbone.pose(configurations((4,), 3, torch.float64, rng), PI, *decouple(sensors, PI))
+    # With wrong rest lengths the sensors do not fit, and both see by how much.
+    found = StateFeedback(backbone, sensors)(torch.zeros(4, 9, dtype=torch.float64), PI_HAT, T)
+    have = orientation_error(backbone, found.q_bar, PI_HAT, sensors, T[..., :3, :3])
+    torch.testing.assert_close(have, found.angular_error, rtol=1e-3, atol=1e-6)
+    assert float(have.max()) > 1e-3
