@@ -15,7 +15,7 @@ from apcc_torch.conf_path import conf_path
 from apcc_torch.configs.realtime import RealtimeConfig
 from apcc_torch.configs.typed import typed
 from apcc_torch.errors import ApccError
-from apcc_torch.experiments import realtime
+from apcc_torch.experiments import arm_calibration, realtime
 from apcc_torch.experiments.folder import metrics_text
 from apcc_torch.files import write_atomically
 from apcc_torch.hardware.records import Outcome
@@ -32,6 +32,8 @@ def run(cfg: DictConfig, folder: Path) -> tuple[Outcome, dict[str, float]]:
     config = typed(cfg, RealtimeConfig)
     settings = OmegaConf.to_yaml(cfg, resolve=True)
     write_atomically(folder / realtime.CONFIG, settings)
+    if config.experiment.kind == arm_calibration.KIND:
+        return arm_calibration.run(config, folder)
     return realtime.run(config, settings, folder)
 
 

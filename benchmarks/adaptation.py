@@ -59,7 +59,7 @@ def studies() -> dict[str, tuple[str, tuple[str, ...], dict[float, tuple[str, ..
     def over(*values: float, key: str) -> dict[float, tuple[str, ...]]:
         return {value: (f"{key}={value}",) for value in values}
 
-    rates = {float(r): (f"controller.rate={r}", f"plant.substeps={max(1, 200 // r)}") for r in (50, 100, 200, 500)}
+    rates = {float(r): (f"controller.rate={r}", f"plant.substeps={max(1, 200 // r)}") for r in (50, 100, 200)}
     delays = {float(10 * d): (f"sensors.delay={d}",) for d in (0, 1, 2, 4)}
     noises = {1e3 * n: (f"sensors.position_noise={n}", "sensors.angular_noise=0.0087") for n in (0.0, 2e-4, 1e-3)}
     gains = {

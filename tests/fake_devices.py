@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from math import inf
 
@@ -59,6 +59,10 @@ class FakeActuator(TendonActuator):
 
     def calibrate(self) -> dict[str, object]:
         return {}
+
+    def restore(self, found: Mapping[str, object]) -> None:
+        if self.faults.at("lost_zero", self.clock.now()):
+            raise HardwareError("motor 5 lost power since that calibration")
 
     def arm(self) -> None:
         if self.faults.at("arm_fails", self.clock.now()):

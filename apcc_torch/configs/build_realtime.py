@@ -3,22 +3,22 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from typing import NamedTuple
 
 import numpy as np
 import torch
 
 from apcc_torch.configs.build import Builder, choice
+from apcc_torch.configs.build_devices import Devices, real_devices
 from apcc_torch.configs.realtime import RealtimeConfig, model_settings
 from apcc_torch.errors import ConfigError
 from apcc_torch.hardware.clock import Clock, MonotonicClock, VirtualClock
 from apcc_torch.hardware.control import Control
 from apcc_torch.hardware.dry_run import DryRunActuator
 from apcc_torch.hardware.guards import GuardSettings
-from apcc_torch.hardware.interfaces import Array, PoseSensor, TendonActuator
+from apcc_torch.hardware.interfaces import Array
 from apcc_torch.hardware.limits import CommandLimits
 from apcc_torch.hardware.log_format import Layouts, layouts
+from apcc_torch.hardware.mounts import Mounts
 from apcc_torch.hardware.sensing import Sensing, SensingLimits
 from apcc_torch.hardware.setup import LoopSettings
 from apcc_torch.hardware.simulated.actuator import SimulatedActuator
@@ -30,17 +30,8 @@ from apcc_torch.hardware.stops import endings
 from apcc_torch.simulation.gating import SensorGate
 from apcc_torch.simulation.trajectory import SetPoint, Trajectory
 
-KINDS = ("simulated",)
+SIMULATED, REAL = KINDS = ("simulated", "dynamixel_optitrack")
 EXPERIMENTS = ("dynamic",)
-
-
-class Devices(NamedTuple):
-    """Motors and cameras, the clock of their stamps, and what they add to a run's metrics once it is over."""
-
-    actuator: TendonActuator
-    sensor: PoseSensor
-    clock: Clock
-    metrics: Callable[[], dict[str, float]] = dict
 
 
 class RealtimeBuilder:
@@ -59,8 +50,8 @@ class RealtimeBuilder:
 
     def devices(self) -> Devices:
         """The configured devices, not yet connected."""
-        choice("hardware.kind", self.config.hardware.kind, KINDS)
-        devices = self._simulated()
+        real = choice("hardware.kind", self.config.hardware.kind, KINDS) == REAL
+        devices = real_devices(self.config) if real else self._simulated()
         if self.config.dry_run:
             return devices._replace(actuator=DryRunActuator(devices.actuator))
         return devices
@@ -137,8 +128,8 @@ class RealtimeBuilder:
         lower, upper = self._tendons("lower", limits.lower), self._tendons("upper", limits.upper)
         return CommandLimits(lower, upper, self._tendons("rate", limits.rate), self._tendons("step", limits.step))
 
-    def sensing(self) -> Sensing:
-        """What judges frames."""
+    def sensing(self, mounts: Mounts | None = None) -> Sensing:
+        """What judges frames, of bodies that sit on the arm as `mounts` says."""
         s = self.config.guards.sensing
         abscissae = self.model.sensors_at()
         gate = SensorGate(
@@ -151,9 +142,8 @@ class RealtimeBuilder:
             min(s.max_bend, math.pi),
             s.max_twist,
         )
-        return Sensing(
-            gate, self.model.base_rotation(), SensingLimits(s.max_age, s.stale, s.dropout, s.frozen_frames, s.partial)
-        )
+        limits = SensingLimits(s.max_age, s.stale, s.dropout, s.frozen_frames, s.partial)
+        return Sensing(gate, self.model.base_rotation(), limits, mounts)
 
     def guards(self) -> GuardSettings:
         """What ends the run. Only a set-point can be arrived at."""

@@ -119,4 +119,3 @@ class HardwareConfig:
     simulated: SimulatedConfig = field(default_factory=SimulatedConfig)
     dynamixel: DynamixelConfig | None = None
     optitrack: OptiTrackConfig | None = None
-    calibration: CalibrationConfig = field(default_factory=CalibrationConfig)

@@ -7,7 +7,7 @@ from typing import Any
 
 from omegaconf import MISSING
 
-from apcc_torch.configs.hardware import HardwareConfig
+from apcc_torch.configs.hardware import CalibrationConfig, HardwareConfig
 from apcc_torch.configs.schema import (
     AdaptationConfig,
     ControllerConfig,
@@ -93,6 +93,7 @@ class RealtimeConfig:
     hardware: HardwareConfig = field(default_factory=HardwareConfig)
     guards: GuardsConfig = field(default_factory=GuardsConfig)
     loop: LoopConfig = field(default_factory=LoopConfig)
+    calibration: CalibrationConfig = field(default_factory=CalibrationConfig)
     robot: RobotConfig = field(default_factory=RobotConfig)
     plant: PlantConfig = field(default_factory=PlantConfig)
     sensors: SensorsConfig = field(default_factory=SensorsConfig)

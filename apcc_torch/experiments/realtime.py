@@ -11,15 +11,20 @@ from pathlib import Path
 
 from omegaconf import DictConfig, OmegaConf
 
-from apcc_torch.configs.build_realtime import Devices, RealtimeBuilder
+from apcc_torch.configs.build_devices import Devices
+from apcc_torch.configs.build_realtime import RealtimeBuilder
+from apcc_torch.configs.calibrated import calibrated, load_calibration
 from apcc_torch.configs.realtime import RealtimeConfig
 from apcc_torch.configs.typed import typed
 from apcc_torch.errors import DataError
 from apcc_torch.experiments.folder import versions
 from apcc_torch.files import write_json
+from apcc_torch.hardware.arm_calibration import ArmCalibration
+from apcc_torch.hardware.calibration_checks import CalibrationTolerances, calibration_checks
 from apcc_torch.hardware.log import RunLog
 from apcc_torch.hardware.log_reader import RobotLog
 from apcc_torch.hardware.log_replay import Replayed, replay
+from apcc_torch.hardware.mounts import Mounts
 from apcc_torch.hardware.realtime import freeze, realtime
 from apcc_torch.hardware.records import Event, Observer, Outcome
 from apcc_torch.hardware.runner import Runner
@@ -31,7 +36,7 @@ from apcc_torch.hardware.view import LiveView
 
 log = logging.getLogger(__name__)
 
-LOG, CONFIG = "log.mcap", "config.yaml"
+LOG, CONFIG, CALIBRATION = "log.mcap", "config.yaml", "calibration.json"
 
 
 def run(config: RealtimeConfig, settings: str, folder: Path) -> tuple[Outcome, dict[str, float]]:
@@ -50,17 +55,23 @@ def run(config: RealtimeConfig, settings: str, folder: Path) -> tuple[Outcome, d
         DataError: The log cannot be opened.
         HardwareError: The priority or memory that was asked for is refused.
     """
+    calibration = load_calibration(config)
+    # The devices are what they are, whatever the model takes from the calibration.
+    devices = RealtimeBuilder(config).devices()
+    attached = {CONFIG: settings}
+    if calibration is not None:
+        config = calibrated(config, calibration)
+        attached = {CONFIG: OmegaConf.to_yaml(OmegaConf.structured(config)), CALIBRATION: calibration.text()}
     build = RealtimeBuilder(config)
-    devices = build.devices()
     summary = Summary()
     observers: list[Observer] = [summary]
     request = StopRequest()
-    setup = _setup(build, devices, request, observers)
+    setup = _setup(build, devices, request, observers, calibration)
     log_file = None
     with ExitStack() as stack:
         stack.enter_context(request.on_signals())
         if config.log:
-            log_file = stack.enter_context(_log(build, devices, settings, folder))
+            log_file = stack.enter_context(_log(build, devices, attached, folder))
             observers.append(log_file)
         if config.view and sys.stdout.isatty():
             observers.append(stack.enter_context(LiveView(sys.stdout)))
@@ -79,11 +90,17 @@ def run(config: RealtimeConfig, settings: str, folder: Path) -> tuple[Outcome, d
     return outcome, metrics
 
 
-def _setup(build: RealtimeBuilder, devices: Devices, request: StopRequest, observers: list[Observer]) -> Setup:
-    return Setup(
+def _setup(
+    build: RealtimeBuilder,
+    devices: Devices,
+    request: StopRequest,
+    observers: list[Observer],
+    calibration: ArmCalibration | None,
+) -> Setup:
+    setup = Setup(
         devices.actuator,
         devices.sensor,
-        build.sensing(),
+        build.sensing(None if calibration is None else Mounts.of(calibration.rest)),
         build.control(),
         build.limits(),
         build.guards(),
@@ -93,15 +110,20 @@ def _setup(build: RealtimeBuilder, devices: Devices, request: StopRequest, obser
         observers,
         prepared=freeze,
     )
+    if calibration is None:
+        return setup
+    c = build.config.calibration
+    tolerances = CalibrationTolerances(c.base_tolerance, c.base_angle_tolerance, c.rest_tolerance)
+    return replace(setup, checks=calibration_checks(calibration, setup, tolerances))
 
 
-def _log(build: RealtimeBuilder, devices: Devices, settings: str, folder: Path) -> RunLog:
+def _log(build: RealtimeBuilder, devices: Devices, attached: dict[str, str], folder: Path) -> RunLog:
     try:
         stream = (folder / LOG).open("wb")
     except OSError as error:
         raise DataError(f"the log {folder / LOG} cannot be opened: {error.strerror}") from error
     offset = time.time() - devices.clock.now()
-    return RunLog(stream, build.layouts(), offset, {"versions": versions()}, {CONFIG: settings})
+    return RunLog(stream, build.layouts(), offset, {"versions": versions()}, attached)
 
 
 def _write(folder: Path, config: RealtimeConfig, events: list[Event], metrics: dict[str, float]) -> None:

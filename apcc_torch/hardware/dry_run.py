@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 from apcc_torch.hardware.interfaces import Array, TendonActuator, TendonReading
 
 
@@ -23,6 +25,10 @@ class DryRunActuator(TendonActuator):
     def calibrate(self) -> dict[str, object]:
         """As the device."""
         return self.actuator.calibrate()
+
+    def restore(self, found: Mapping[str, object]) -> None:
+        """As the device."""
+        self.actuator.restore(found)
 
     def arm(self) -> None:
         """Nothing: the motors stay without torque."""

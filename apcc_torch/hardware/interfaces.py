@@ -7,6 +7,7 @@ arm. Stamps are `time.monotonic()` seconds.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from dataclasses import dataclass
 from types import TracebackType
 from typing import Self
@@ -36,7 +37,7 @@ class TendonReading:
 class TendonActuator(ABC):
     """Motors that set tendon lengths. `with` connects, and on every exit leaves the motors without torque.
 
-    The order is connect, (calibrate,) arm, then read and send; `hold` and `torque_off` end it. Every method raises a
+    The order is connect, calibrate or restore, arm, then read and send; `hold` and `torque_off` end it. Every method raises a
     `HardwareError` subclass that says what is wrong and with which motor.
     """
 
@@ -49,6 +50,10 @@ class TendonActuator(ABC):
     @abstractmethod
     def calibrate(self) -> dict[str, object]:
         """Takes the present lengths as zero; returns what was found, as plain values for a file."""
+
+    @abstractmethod
+    def restore(self, found: Mapping[str, object]) -> None:
+        """Takes up what `calibrate` returned, also in an earlier process; refuses what is not of this device."""
 
     @abstractmethod
     def arm(self) -> None:
@@ -115,6 +120,11 @@ class PoseSensor(ABC):
     @abstractmethod
     def wait(self, timeout: float, after: int | None = None) -> PoseSample | None:
         """The first sample newer than frame `after`, or None after `timeout` s."""
+
+    @property
+    def base(self) -> Array | None:
+        """The arm's base frame in the source's own world, m, (4, 4); None where the source does not tell."""
+        return None
 
     @abstractmethod
     def disconnect(self) -> None:

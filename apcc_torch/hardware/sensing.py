@@ -11,6 +11,7 @@ from torch import Tensor
 
 from apcc_torch.errors import ValueRangeError
 from apcc_torch.hardware.interfaces import Array, PoseSample
+from apcc_torch.hardware.mounts import Mounts
 from apcc_torch.hardware.stops import Stop, StopReason
 from apcc_torch.simulation.gating import SensorGate
 
@@ -84,11 +85,15 @@ class Sensing:
         gate: Judges bodies.
         base_rotation: (3, 3) orientation of the arm's base in the frame of the poses; the gate judges in the base.
         limits: Limits of the frames' times.
+        mounts: How the bodies sit on the arm; None where the source's poses are the model's frames already.
     """
 
-    def __init__(self, gate: SensorGate, base_rotation: Tensor, limits: SensingLimits) -> None:
+    def __init__(
+        self, gate: SensorGate, base_rotation: Tensor, limits: SensingLimits, mounts: Mounts | None = None
+    ) -> None:
         self.gate = gate
         self.limits = limits
+        self.mounts = mounts
         # NumPy around the gate: on so few numbers a tensor's every operation costs more than the numbers.
         self.to_base = np.eye(4)
         self.to_base[:3, :3] = base_rotation.detach().double().numpy().T
@@ -122,8 +127,10 @@ class Sensing:
         forward = last is None or sample.stamp > last.stamp
         # A stamp from the future is as wrong as one from long ago.
         timely = forward and not frozen and -self.limits.max_age <= age <= self.limits.max_age
-        tracked = torch.from_numpy(sample.valid & timely)
-        T = torch.from_numpy(self.to_base @ sample.T)
+        poses = sample.T if self.mounts is None else self.mounts.turned(sample.T)
+        # Copies: a source's arrays may be read-only, which tensors cannot be.
+        tracked = torch.tensor(sample.valid & timely)
+        T = torch.tensor(self.to_base @ poses)
         stamp = torch.tensor(sample.stamp, dtype=torch.float64)
         self.state, verdict = self.gate(self.state, T, tracked, stamp)
         position_ok = verdict.position_ok.numpy()
@@ -143,9 +150,11 @@ class Sensing:
         )
 
     def _held(self) -> Array:
-        """The last accepted poses (k, 4, 4), m, as `GateState.poses`, in the frame of the samples."""
+        """The last accepted poses (k, 4, 4), m, of the model's frames, in the frame of the samples."""
         T = np.zeros((self.gate.sensors, 4, 4))
-        T[:, :3, :3], T[:, :3, 3], T[:, 3, 3] = self.state.rotation.numpy(), self.state.position.numpy(), 1.0
+        R, p = self.state.rotation.numpy(), self.state.position.numpy()
+        T[:, :3, :3], T[:, 3, 3] = R, 1.0
+        T[:, :3, 3] = p if self.mounts is None else self.mounts.moved(R, p)
         return np.asarray(self.to_base.T @ T)
 
     def missing(self, now: float) -> Stop | None:

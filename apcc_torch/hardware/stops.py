@@ -21,6 +21,7 @@ class StopReason(Enum):
 
     ARRIVED = "arrived", 0, Ending.HOLD, "the end effector stayed within the arrival error"
     DURATION = "duration", 0, Ending.HOLD, "the duration of the run is over"
+    COMPLETED = "completed", 0, Ending.TORQUE_OFF, "what was to be measured is measured"
     NOT_CONNECTED = "not_connected", 10, Ending.TORQUE_OFF, "a device is missing or is not the one configured"
     NOT_ARMED = "not_armed", 11, Ending.TORQUE_OFF, "a condition for torque was not met"
     SENSOR_LOST = "sensor_lost", 20, Ending.HOLD, "the source of poses ended"

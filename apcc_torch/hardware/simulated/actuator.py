@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
-from apcc_torch.errors import CommunicationError, DeviceFaultError, HardwareError
+from apcc_torch.errors import CommunicationError, DataError, DeviceFaultError, HardwareError
 from apcc_torch.hardware.interfaces import Array, TendonActuator, TendonReading
 from apcc_torch.hardware.simulated.board import Mode
 from apcc_torch.hardware.simulated.world import World
@@ -29,6 +31,15 @@ class SimulatedActuator(TendonActuator):
     def calibrate(self) -> dict[str, object]:
         """Nothing to find: the stand holds the tendons at zero."""
         return {"zero_ticks": [0] * self.n_tendons, "metres_per_tick": self.resolution}
+
+    def restore(self, found: Mapping[str, object]) -> None:
+        """Nothing to take up: an arm that begins anew hangs on its stand.
+
+        Raises:
+            DataError: It is of other motors.
+        """
+        if found != self.calibrate():
+            raise DataError(f"the calibration has the motors {dict(found)}, the settings {self.calibrate()}")
 
     def arm(self) -> None:
         """Torque on, with every goal at the present length."""
