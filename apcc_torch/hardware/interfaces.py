@@ -37,8 +37,8 @@ class TendonReading:
 class TendonActuator(ABC):
     """Motors that set tendon lengths. `with` connects, and on every exit leaves the motors without torque.
 
-    The order is connect, calibrate or restore, arm, then read and send; `hold` and `torque_off` end it. Every method raises a
-    `HardwareError` subclass that says what is wrong and with which motor.
+    The order is connect, calibrate or restore, arm, then read and send; `hold` and `torque_off` end it. Every method
+    raises a `HardwareError` subclass that says what is wrong and with which motor.
     """
 
     n_tendons: int
