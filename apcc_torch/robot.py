@@ -13,12 +13,9 @@ from omegaconf import DictConfig, OmegaConf
 
 from apcc_torch.conf_path import conf_path
 from apcc_torch.configs.realtime import RealtimeConfig
-from apcc_torch.configs.typed import typed
 from apcc_torch.errors import ApccError
-from apcc_torch.experiments import arm_calibration, realtime
+from apcc_torch.experiments import arm_run
 from apcc_torch.experiments.folder import metrics_text
-from apcc_torch.files import write_atomically
-from apcc_torch.hardware.records import Outcome
 from apcc_torch.hardware.stops import exit_code_table
 
 log = logging.getLogger("apcc_torch.robot")
@@ -27,28 +24,19 @@ ConfigStore.instance().store(name="realtime_schema", node=RealtimeConfig)
 OmegaConf.register_new_resolver("exit_codes", exit_code_table, replace=True)
 
 
-def run(cfg: DictConfig, folder: Path) -> tuple[Outcome, dict[str, float]]:
-    """Runs the configured experiment into `folder`; returns how it ended, and its metrics."""
-    config = typed(cfg, RealtimeConfig)
-    settings = OmegaConf.to_yaml(cfg, resolve=True)
-    write_atomically(folder / realtime.CONFIG, settings)
-    if config.experiment.kind == arm_calibration.KIND:
-        return arm_calibration.run(config, folder)
-    return realtime.run(config, settings, folder)
-
-
 @hydra.main(version_base="1.3", config_path=conf_path(), config_name="realtime")
 def _hydra_main(cfg: DictConfig) -> None:
     folder = Path(HydraConfig.get().runtime.output_dir)
     try:
-        outcome, metrics = run(cfg, folder)
+        outcome, metrics = arm_run.run(cfg, folder)
     except ApccError as error:
         # A wrong setting is the user's to mend: one sentence, no stack.
         log.error("%s", error)
         sys.exit(2)
     level = logging.ERROR if outcome.reason.failed else logging.INFO
     log.log(level, "%s: %s; the arm is %s", outcome.reason.value, outcome.message, outcome.state.value)
-    log.info("results in %s\n%s", folder, metrics_text(metrics))
+    if metrics:
+        log.info("results in %s\n%s", folder, metrics_text(metrics))
     sys.exit(outcome.exit_code)
 
 

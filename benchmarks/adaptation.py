@@ -60,27 +60,27 @@ def studies() -> dict[str, tuple[str, tuple[str, ...], dict[float, tuple[str, ..
         return {value: (f"{key}={value}",) for value in values}
 
     rates = {float(r): (f"controller.rate={r}", f"plant.substeps={max(1, 200 // r)}") for r in (50, 100, 200)}
-    delays = {float(10 * d): (f"sensors.delay={d}",) for d in (0, 1, 2, 4)}
+    delays = {float(10 * d): (f"sensors.delay={d}",) for d in (0, 2, 4)}
     noises = {1e3 * n: (f"sensors.position_noise={n}", "sensors.angular_noise=0.0087") for n in (0.0, 2e-4, 1e-3)}
     gains = {
         "task error, partial": "adaptation.gain_scale", "task error, total": "adaptation.gain_scale",
     }  # fmt: skip
     found = {
         "window": ("window N of the velocity filter", TASK_LAWS,
-                   {float(n): (f"velocity_filter.window={n}",) for n in (5, 15, 50, 200)}),
+                   {float(n): (f"velocity_filter.window={n}",) for n in (5, 50, 200)}),
         "order": ("order of the velocity filter", TASK_LAWS,
                   {float(n): (f"velocity_filter.order={n}", "velocity_filter.window=25") for n in (1, 2, 3)}),
         "rate": ("control rate (Hz)", FEW, rates),
-        "gain": ("gain, 1 is the paper's", tuple(gains), over(0.01, 0.03, 0.1, 0.3, 1.0, key="adaptation.gain_scale")),
+        "gain": ("gain, 1 is the paper's", tuple(gains), over(0.01, 0.1, 1.0, key="adaptation.gain_scale")),
         "hold": ("hold on the nominal lengths, kappa", ("curve", "curve, best", "joint"),
-                 over(0.005, 0.01, 0.02, 0.05, 0.1, 0.2, key="residual.nominal_weight")),
+                 over(0.005, 0.02, 0.05, 0.2, key="residual.nominal_weight")),
         "price": ("weight of elongation, mu", ("curve", "curve, best"),
-                  over(0.0, 0.02, 0.05, 0.1, 0.2, key="residual.elongation_weight")),
+                  over(0.0, 0.05, 0.2, key="residual.elongation_weight")),
         "noise": ("position noise (mm), with 0.5 degrees", FEW, noises),
         "delay": ("delay of the sensors (ms)", FEW, delays),
         "sensors": ("sensors", FEW, {float(k): (f"robot.sensors={v}",) for k, v in SENSORS.items()}),
         "sections": ("sections of the model", FEW, {float(k): _sections(v) for k, v in SECTIONS.items()}),
-        "payload": ("payload (kg)", (*FEW, "joint"), {p: (f"experiment.payloads=[{p}]",) for p in (0.0, 0.25, 0.5)}),
+        "payload": ("payload (kg)", FEW, {p: (f"experiment.payloads=[{p}]",) for p in (0.0, 0.25, 0.5)}),
     }  # fmt: skip
     return found
 

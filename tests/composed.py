@@ -9,10 +9,15 @@ from hydra.core.config_store import ConfigStore
 from omegaconf import DictConfig, OmegaConf
 
 from apcc_torch.conf_path import conf_path
+from apcc_torch.configs.realtime import RealtimeConfig
 from apcc_torch.configs.schema import SimulateConfig
 from apcc_torch.configs.typed import typed
 
 ConfigStore.instance().store(name="simulate_schema", node=SimulateConfig)
+ConfigStore.instance().store(name="realtime_schema", node=RealtimeConfig)
+
+# Experiments that only the program for an arm, real or simulated, can run.
+ON_AN_ARM = {"calibration", "experiment_1", "experiment_2"}
 
 
 def raw(*overrides: str) -> DictConfig:
@@ -24,6 +29,12 @@ def raw(*overrides: str) -> DictConfig:
 def composed(*overrides: str) -> SimulateConfig:
     """The settings as the experiments take them."""
     return typed(raw(*overrides), SimulateConfig)
+
+
+def composed_realtime(*overrides: str) -> RealtimeConfig:
+    """The settings of a run in real time."""
+    with initialize_config_dir(conf_path(), version_base="1.3"):
+        return typed(compose("realtime", list(overrides)), RealtimeConfig)
 
 
 @cache

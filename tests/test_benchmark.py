@@ -28,7 +28,7 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     command = [
         sys.executable, "-m", "apcc_torch.benchmark", "grid=small", "grid.duration=0.2", "hydra.run.dir=out",
         "~grid.comparisons.B", "~grid.comparisons.A.runs.run_1", "~grid.comparisons.A.runs.robot_2",
-        f"experiments.common={quick}", 'experiments.adaptive=["adaptation=partial"]',
+        f"experiments.common={quick}", 'experiments.adaptive=["residual=joint"]',
     ]  # fmt: skip
     done = subprocess.run(command, cwd=folder, env=env, capture_output=True, text=True, check=False, timeout=300)
     assert done.returncode == 0, done.stderr
@@ -50,6 +50,7 @@ def test_folder_is_whole(finished: tuple[Path, str]) -> None:
 def test_figures_carry_the_papers_numbers(finished: tuple[Path, str]) -> None:
     names = {path.name for path in (finished[0] / "figures").iterdir()}
     drawn = {f"figure_{number}.png" for number, (run, _, _) in NUMBERED.items() if run.startswith("run_2")}
+    drawn |= {"trade_off.png"}
     films = {Path(name).stem for name in names - drawn}
     assert drawn <= names
     assert films == {"single_run_standard", "single_run_adaptive"}
@@ -59,8 +60,8 @@ def test_config_holds_every_runs_settings(finished: tuple[Path, str]) -> None:
     config = OmegaConf.load(finished[0] / "config.yaml")
     runs = config.runs.A
     assert config.benchmark.grid.name == "small"
-    assert runs.run_2.standard.adaptation.regressor == "estimator_aware"
-    assert runs.run_2.adaptive.adaptation.regressor == "partial"
+    assert runs.run_2.standard.residual.target == "curve"
+    assert runs.run_2.adaptive.residual.target == "sensors"
     assert runs.run_2.standard.controller.rate == 20.0
     assert runs.run_2.standard.experiment.payloads == [0.0, 0.5]
 

@@ -107,7 +107,7 @@ def test_a_dry_run_moves_nothing(tmp_path: Path) -> None:
     ("arguments", "code", "named"),
     [
         (("experiment=setpoint", "loop.rate=1000"), 2, "loop.rate must be between 20 and 500 Hz, got 1000.0"),
-        (("experiment=kinematic",), 2, "experiment.kind must be one of dynamic, got 'kinematic'"),
+        (("experiment=kinematic",), 2, "experiment.kind must be one of dynamic, tendons, got 'kinematic'"),
         (("experiment=setpoint", "guards.effort=3"), 1, "effort"),
     ],
 )
@@ -130,7 +130,8 @@ def test_a_full_disk_ends_the_run_by_name_with_the_arm_held(tmp_path: Path) -> N
 def test_help_teaches(tmp_path: Path) -> None:
     done = robot(tmp_path, "--help")
     assert done.returncode == 0, done.stderr
-    for part in ("experiment:", "setpoint", "hardware: simulated", "dry_run", "sensor_stale", "143", "robot_log"):
+    choices = ("experiment:", "setpoint", "hardware: dynamixel_optitrack, simulated")
+    for part in (*choices, "dry_run", "sensor_stale", "143", "robot_log"):
         assert part in done.stdout, part
 
 

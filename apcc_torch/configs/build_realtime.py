@@ -19,6 +19,7 @@ from apcc_torch.hardware.interfaces import Array
 from apcc_torch.hardware.limits import CommandLimits
 from apcc_torch.hardware.log_format import Layouts, layouts
 from apcc_torch.hardware.mounts import Mounts
+from apcc_torch.hardware.ramp import Ramp, RampControl
 from apcc_torch.hardware.sensing import Sensing, SensingLimits
 from apcc_torch.hardware.setup import LoopSettings
 from apcc_torch.hardware.simulated.actuator import SimulatedActuator
@@ -31,7 +32,7 @@ from apcc_torch.simulation.gating import SensorGate
 from apcc_torch.simulation.trajectory import SetPoint, Trajectory
 
 SIMULATED, REAL = KINDS = ("simulated", "dynamixel_optitrack")
-EXPERIMENTS = ("dynamic",)
+EXPERIMENTS = ("dynamic", "tendons")
 
 
 class RealtimeBuilder:
@@ -110,8 +111,22 @@ class RealtimeBuilder:
         return SetPoint(points[0])
 
     def control(self) -> Control:
-        """The controller on its trajectory."""
+        """The controller on its trajectory, or looking on while the tendons go their own way."""
+        if choice("experiment.kind", self.config.experiment.kind, EXPERIMENTS) == "tendons":
+            return RampControl(self.model.controller(adaptive=False), self.model.first_estimate(), self.ramp())
         return Control(self.model.controller(), self.trajectory(), self.model.first_estimate())
+
+    def ramp(self) -> Ramp:
+        """Where the tendons go in an experiment of kind `tendons`.
+
+        Raises:
+            ConfigError: There is no goal, or it has not one entry a tendon.
+        """
+        ramp = self.config.ramp
+        if ramp.goal is None:
+            raise ConfigError("ramp.goal must be given for an experiment of kind tendons")
+        goal = self.model.vector("ramp.goal", ramp.goal, self.model.routing().n_tendons)
+        return Ramp(goal.double().numpy(), ramp.duration)
 
     def layouts(self) -> Layouts:
         """The messages of the run's log."""
@@ -148,7 +163,8 @@ class RealtimeBuilder:
     def guards(self) -> GuardSettings:
         """What ends the run. Only a set-point can be arrived at."""
         g = self.config.guards
-        arrival = g.arrival_error if self.config.experiment.setpoints else None
+        e = self.config.experiment
+        arrival = g.arrival_error if e.kind == "dynamic" and e.setpoints else None
         return GuardSettings(
             self.config.experiment.duration,
             arrival,

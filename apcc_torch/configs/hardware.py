@@ -22,11 +22,11 @@ class SimulatedConfig:
 
 @dataclass
 class GripperConfig:
-    """The gripper's motor."""
+    """The gripper's motor; without an id there is none."""
 
-    id: int = MISSING
-    open_angle: float = MISSING
-    closed_angle: float = MISSING
+    id: int | None = None
+    open_angle: float = 1.0
+    closed_angle: float = 2.0
     current_limit: float = 0.3
     tolerance: float = 0.1
 
@@ -53,7 +53,7 @@ class DynamixelConfig:
     model_number: int = 1030
     minimum_firmware: int = 38
     release_torqued: bool = False
-    gripper: GripperConfig | None = None
+    gripper: GripperConfig = field(default_factory=GripperConfig)
 
 
 @dataclass

@@ -87,6 +87,25 @@ class LoopConfig:
 
 
 @dataclass
+class RampConfig:
+    """Where the tendons go in an experiment of kind `tendons`."""
+
+    goal: list[float] | None = None
+    duration: float = 10.0
+    estimate: list[float] | None = None
+
+
+@dataclass
+class SeriesConfig:
+    """Runs one after the other, and the study that is made of them."""
+
+    study: str | None = None
+    runs: dict[str, list[str]] = field(default_factory=dict)
+    only: list[str] | None = None
+    figures: bool = True
+
+
+@dataclass
 class RealtimeConfig:
     """Root of `python -m apcc_torch.robot`."""
 
@@ -94,6 +113,8 @@ class RealtimeConfig:
     guards: GuardsConfig = field(default_factory=GuardsConfig)
     loop: LoopConfig = field(default_factory=LoopConfig)
     calibration: CalibrationConfig = field(default_factory=CalibrationConfig)
+    ramp: RampConfig = field(default_factory=RampConfig)
+    series: SeriesConfig = field(default_factory=SeriesConfig)
     robot: RobotConfig = field(default_factory=RobotConfig)
     plant: PlantConfig = field(default_factory=PlantConfig)
     sensors: SensorsConfig = field(default_factory=SensorsConfig)

@@ -7,11 +7,12 @@ from pathlib import Path
 from typing import Any
 
 from apcc_torch.experiments.dynamic import snapshots
-from apcc_torch.experiments.paper_outcomes import Outcome, Outcomes
+from apcc_torch.experiments.paper_outcomes import HELD_OUT, SINGLE, Outcome, Outcomes
 from apcc_torch.report import dynamic as figures
 from apcc_torch.report.animation import save_animation
 from apcc_torch.report.backbone_drawing import stroboscopic_figure
 from apcc_torch.report.style import save_figure
+from apcc_torch.report.trade_off import TradeOff, trade_off_figure
 
 MOMENTS = 6
 """Shapes in a stroboscopic figure."""
@@ -53,8 +54,22 @@ NUMBERED: Mapping[int, tuple[str, Draw, str]] = {
 """The paper's figure -> the run it shows, how it is drawn, and its title."""
 
 
+def trade_offs(outcomes: Outcomes) -> dict[str, TradeOff]:
+    """Title -> trade-off of every whole grid."""
+    found: dict[str, TradeOff] = {}
+    for run, both in outcomes.items():
+        limits = both["standard"].limits
+        if limits is None or run.endswith((HELD_OUT, SINGLE)):
+            continue
+        reached = {
+            name: (o.metrics["shape_error_mean_mm"], o.metrics["psi_mean_cm"]) for name, o in both.items()
+        }  # fmt: skip
+        found[run.replace("_", " ")] = TradeOff(limits.trade_off(), 1e3 * float(limits.shape.mean()), reached)
+    return found
+
+
 def save_paper_figures(outcomes: Outcomes, folder: Path) -> list[Path]:
-    """Writes figure_11.png and so on for every run that there is, and the single run's films.
+    """Writes figure_11.png and so on for every run that there is, the trade-off, and the single run's films.
 
     Args:
         outcomes: Run -> controller -> outcome.
@@ -65,6 +80,9 @@ def save_paper_figures(outcomes: Outcomes, folder: Path) -> list[Path]:
         for number, (run, draw, title) in NUMBERED.items()
         if run in outcomes
     ]
+    chosen = trade_offs(outcomes)
+    if chosen:
+        paths.append(save_figure(trade_off_figure(chosen), folder / "trade_off.png"))
     for name, o in outcomes.get("run_2_single", {}).items():
         film = {
             "shape error (mm)": 1e3 * o.curves.shape_error[:, 0],

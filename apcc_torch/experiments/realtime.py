@@ -143,6 +143,20 @@ def _write(folder: Path, config: RealtimeConfig, events: list[Event], metrics: d
     write_json(folder / "metrics.json", metrics)
 
 
+def settings_of(record: RobotLog) -> RealtimeConfig:
+    """The settings that a log carries.
+
+    Raises:
+        DataError: It carries none.
+        ConfigError: They have no meaning.
+    """
+    if CONFIG not in record.attachments:
+        raise DataError("the log carries no settings to build its controller from")
+    cfg = OmegaConf.merge(OmegaConf.structured(RealtimeConfig), OmegaConf.create(record.attachments[CONFIG]))
+    assert isinstance(cfg, DictConfig)  # what merging structured settings gives
+    return typed(cfg, RealtimeConfig)
+
+
 def replay_log(record: RobotLog) -> Replayed:
     """A log once more through the controller that its own settings describe.
 
@@ -150,8 +164,4 @@ def replay_log(record: RobotLog) -> Replayed:
         DataError: The log has no settings, or no control step.
         ConfigError: Its settings have no meaning.
     """
-    if CONFIG not in record.attachments:
-        raise DataError("the log carries no settings to build its controller from")
-    cfg = OmegaConf.merge(OmegaConf.structured(RealtimeConfig), OmegaConf.create(record.attachments[CONFIG]))
-    assert isinstance(cfg, DictConfig)  # what merging structured settings gives
-    return replay(record, RealtimeBuilder(typed(cfg, RealtimeConfig)).control())
+    return replay(record, RealtimeBuilder(settings_of(record)).control())

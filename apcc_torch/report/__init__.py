@@ -9,6 +9,8 @@ writes it.
     kinematic           section V-A: the four-way panel, the estimates, the sensors' residuals
     dynamic             section V-B and appendix A: controllers compared over a grid of runs
     replay              a replayed recording and what the gate held back
+    state_feedback      experiment I on an arm: four estimators of one motion
+    overlay             experiment II on an arm: arm and model in a plane, the way to the set-point
     animation           the film of a run
     hero                the picture at the head of the README
 

@@ -24,6 +24,7 @@ from apcc_torch.model.integrators import Actuation, ArmState, guard, semi_implic
 from apcc_torch.model.tendons import TendonRouting
 from apcc_torch.settings import Setting, aligned, check_setting
 from apcc_torch.simulation.progress import Progress, quiet
+from apcc_torch.simulation.rows import Rows
 from apcc_torch.simulation.sensors import PoseSensors
 from apcc_torch.simulation.trajectory import Trajectory
 
@@ -238,8 +239,9 @@ def simulate_dynamic(
     sensor_state = sensors.initial_state(poses(q))
     state = _first_state(controller, poses(q), pi_hat, start)
     y_last = controller.routing.lengths(state.q_d, state.pi_hat)
-    columns: list[list[Tensor]] = [[] for _ in DynamicLog._fields[:-1]]
-    for k in progress(range(round(settings.duration * settings.control_rate) + 1)):
+    steps = round(settings.duration * settings.control_rate) + 1
+    log = Rows(steps)
+    for k in progress(range(steps)):
         time = start + k * period
         sensor_state, seen, mask = sensors(sensor_state, poses(now.arm.q), generator)
         target = trajectory(time)
@@ -248,15 +250,11 @@ def simulate_dynamic(
         y = command.y
         assert y is not None  # the controller has a routing
         u = plant.forces(now.arm, now.z, ramp(y_last, y, 0.0, period))
-        row = _row(time, target.x_d, plant, now.arm, pi_before, state, command, y_last, u)
-        for column, value in zip(columns, row, strict=True):
-            column.append(value)
+        log.add(_row(time, target.x_d, plant, now.arm, pi_before, state, command, y_last, u))
         for i in range(settings.substeps):
             now = plant.advance(now, ramp(y_last, y, (i + 1) / settings.substeps, period), dt, k)
         y_last = y
-    # Column by column, each list let go once it is stacked: a large batch's log is never held twice.
-    stacked = [torch.stack(columns.pop(0)) for _ in range(len(columns))]
-    return DynamicLog(*[*stacked, now.diverged_at])
+    return DynamicLog(*[*log.stacked(), now.diverged_at])
 
 
 def _first_state(controller: APCCController, T: Tensor, pi_hat: Tensor, time: Tensor) -> ControllerState:

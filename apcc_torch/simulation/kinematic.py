@@ -14,6 +14,7 @@ from apcc_torch.linalg import damped_pseudo_inverse
 from apcc_torch.model.abscissae import decouple
 from apcc_torch.model.backbone import PCCBackbone
 from apcc_torch.simulation.progress import Progress, quiet
+from apcc_torch.simulation.rows import Rows
 from apcc_torch.simulation.trajectory import Trajectory
 
 
@@ -38,22 +39,6 @@ class KinematicLog(NamedTuple):
     angular_error: Tensor
     linear_error: Tensor
     status: Tensor
-
-
-class _Rows:
-    """A log that grows by an instant at a time."""
-
-    def __init__(self) -> None:
-        self.columns: list[list[Tensor]] = [[] for _ in KinematicLog._fields]
-
-    def add(self, *row: Tensor) -> None:
-        """One instant: the fields of `KinematicLog` without time."""
-        for column, value in zip(self.columns, row, strict=True):
-            column.append(value)
-
-    def stacked(self) -> KinematicLog:
-        """The whole log; a column is let go once it is stacked, so that a large batch's log is never held twice."""
-        return KinematicLog(*(torch.stack(self.columns.pop(0)) for _ in KinematicLog._fields))
 
 
 def start_configuration(
@@ -118,14 +103,15 @@ def simulate_exact(
 
     start = torch.zeros((), dtype=pi.dtype, device=pi.device)
     q = start_configuration(backbone, pi, trajectory(start).x_d)
-    log = _Rows()
-    for k in progress(range(round(duration * rate) + 1)):
+    steps = round(duration * rate) + 1
+    log = Rows(steps)
+    for k in progress(range(steps)):
         time = start + k * dt
         target = trajectory(time)
         none = torch.zeros_like(controller.feedback.abscissae.to(q)).expand(*q.shape[:-1], -1)
         status = torch.zeros(q.shape[:-1], dtype=torch.int64, device=q.device)
         x_d = target.x_d.expand(*q.shape[:-1], 3)
-        log.add(time, x_d, backbone.tip(q, pi), q, q, pi_hat, none, none, status)
+        log.add((time, x_d, backbone.tip(q, pi), q, q, pi_hat, none, none, status))
         k1 = slope(q, pi_hat, time)
         k2 = slope(q + 0.5 * dt * k1[0], pi_hat + 0.5 * dt * k1[1], time + 0.5 * dt)
         k3 = slope(q + 0.5 * dt * k2[0], pi_hat + 0.5 * dt * k2[1], time + 0.5 * dt)
@@ -134,7 +120,7 @@ def simulate_exact(
             v + dt / 6.0 * (a + 2.0 * b + 2.0 * c + d)
             for v, a, b, c, d in zip((q, pi_hat), k1, k2, k3, k4, strict=True)
         )
-    return log.stacked()
+    return KinematicLog(*log.stacked())
 
 
 def simulate_feedback(
@@ -165,8 +151,9 @@ def simulate_feedback(
     q = start_configuration(backbone, pi, trajectory(start).x_d)
     X_tilde, j = decouple(controller.feedback.abscissae.to(pi), pi)
     state = controller.initial_state(q, pi_hat)
-    log = _Rows()
-    for k in progress(range(round(duration * rate) + 1)):
+    steps = round(duration * rate) + 1
+    log = Rows(steps)
+    for k in progress(range(steps)):
         time = start + k / rate
         target = trajectory(time)
         T = backbone.pose(q, pi, X_tilde, j)
@@ -175,6 +162,6 @@ def simulate_feedback(
         feedback = command.feedback
         x = target.x_d - command.e
         errors = (feedback.angular_error, feedback.linear_error)
-        log.add(time, target.x_d.expand_as(x), x, q, feedback.q_bar, before, *errors, feedback.status)
+        log.add((time, target.x_d.expand_as(x), x, q, feedback.q_bar, before, *errors, feedback.status))
         q = q + command.qdot / rate
-    return log.stacked()
+    return KinematicLog(*log.stacked())

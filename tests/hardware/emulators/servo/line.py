@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+import mmap
 import os
+import struct
 import time
 import tty
 from pathlib import Path
@@ -17,12 +19,20 @@ BROADCAST = 0xFE
 REPLY_FAULTS = ("mute", "corrupt", "short", "cut", "late")
 
 
+def positions_file(link: Path) -> Path:
+    """Where the motors' positions are told, in ticks, as float64 in the order of the motors: an arm may follow them."""
+    return link.with_name(f"{link.name}.positions")
+
+
 class Line:
     """Motors on a pseudo terminal that is reached by the name `link`."""
 
     def __init__(self, link: Path, motors: dict[int, int]) -> None:
         self.link = link
         self.start = motors
+        with positions_file(link).open("w+b") as file:
+            file.truncate(8 * len(motors))
+            self.told = mmap.mmap(file.fileno(), 0)
         self.master = self.slave = -1
         self.fresh()
         self.plug()
@@ -33,6 +43,11 @@ class Line:
         self.motors = {identity: Motor(identity, position, now) for identity, position in self.start.items()}
         self.faults: dict[int, tuple[str, int, float]] = {}  # kind, replies left (negative: all), amount
         self.parser = Parser()
+        self._tell()
+
+    def _tell(self) -> None:
+        positions = [motor.position for motor in self.motors.values()]
+        self.told[:] = struct.pack(f"={len(positions)}d", *positions)
 
     def plug(self) -> None:
         """Opens the terminal; the slave stays open here, so that a driver may come and go."""
@@ -59,6 +74,7 @@ class Line:
             with contextlib.suppress(BlockingIOError):
                 while replies:
                     replies = replies[os.write(self.master, replies) :]
+        self._tell()
 
     def _answers(self, instruction: Instruction, now: float) -> list[bytes]:
         p = instruction.parameters

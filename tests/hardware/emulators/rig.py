@@ -1,0 +1,92 @@
+"""The paper's whole platform, emulated: motors on a pseudo terminal, cameras on loopback, and the arm in between.
+
+Each emulator is a process of its own; the real drivers talk to them. `overrides` are the settings of
+apcc_torch.robot that fit.
+"""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Self
+
+import numpy as np
+
+from hardware.emulators.arm import EmulatedArm
+from hardware.emulators.natnet_server import NatNetServer
+from hardware.emulators.servo.emulator import ServoEmulator
+from hardware.emulators.servo.line import positions_file
+
+MOTORS = tuple(range(11, 20))
+ZEROS = tuple(9000 * (motor - 15) + 17 for motor in MOTORS)  # many turns away from the encoders' own
+RADII = (0.01, 0.01, 0.01, 0.012, 0.012, 0.012, 0.02, 0.02, 0.02)
+SIGNS = (1, -1, 1, -1, 1, -1, 1, -1, 1)
+LOWER, UPPER = -0.12, 0.12  # m; the emulated tendons push as well
+NAMES = {1: "base", 2: "disk_1", 3: "disk_3", 4: "disk_5"}
+
+
+class EmulatedPlatform:
+    """Runs the emulators; a context manager.
+
+    Args:
+        folder: For the terminal's name.
+        frame_rate: Of the cameras, Hz.
+    """
+
+    def __init__(self, folder: Path, frame_rate: float = 50.0) -> None:
+        self.link = folder / "servos"
+        self.frame_rate = frame_rate
+
+    def __enter__(self) -> Self:
+        self.stack = ExitStack()
+        self.servos = ServoEmulator(self.link, dict(zip(MOTORS, ZEROS, strict=True)))
+        self.stack.callback(self.servos.close)
+        per_tick = [sign * radius * 2 * np.pi / 4096 for sign, radius in zip(SIGNS, RADII, strict=True)]
+        self.arm = EmulatedArm(positions_file(self.link), ZEROS, per_tick)
+        self.cameras = self.stack.enter_context(NatNetServer(NAMES, self.arm, rate=self.frame_rate))
+        return self
+
+    def __exit__(self, *unused: object) -> None:
+        self.stack.close()
+
+    def renew(self) -> None:
+        """Everything plugged in, new motors at zero, no faults."""
+        self.servos.do("unplug")
+        self.servos.do("plug")
+        self.servos.do("fresh")
+        self.cameras.fault()
+
+    @property
+    def overrides(self) -> list[str]:
+        """Settings that fit, with times that a busy machine keeps."""
+        motors = {
+            "port": self.link, "ids": list(MOTORS), "spool_radii": list(RADII), "signs": list(SIGNS),
+            "lower": LOWER, "upper": UPPER, "reply_timeout": 0.25, "bus_watchdog": 2.0, "profile_velocity": 20.0,
+            "profile_acceleration": 400.0,
+        }  # fmt: skip
+        cameras = {
+            "server": "127.0.0.1", "interface": "127.0.0.1", "command_port": self.cameras.command_port,
+            "base_frames": 5, "max_age": 0.6, "timeout": 0.9, "connect_timeout": 20.0, "max_speed": 5.0,
+            "max_angular_rate": 40.0,
+        }  # fmt: skip
+        return [
+            "hardware=dynamixel_optitrack",
+            "guards=simulated",
+            f"guards.limits.lower={LOWER}",
+            f"guards.limits.upper={UPPER}",
+            *(f"hardware.dynamixel.{key}={_text(value)}" for key, value in motors.items()),
+            *(f"hardware.optitrack.{key}={value}" for key, value in cameras.items()),
+        ]
+
+    def goals_in_limits(self) -> bool:
+        """Whether no motor was ever told to go outside the limits, by a rule of its own: whole ticks of arc length."""
+        report = self.servos.report()
+        for k, motor in enumerate(MOTORS):
+            y = self.arm.metres_per_tick[k] * (np.array(report[motor]["goals"]) - ZEROS[k])
+            if len(y) and (y.min() < LOWER - 1e-9 or y.max() > UPPER + 1e-9):
+                return False
+        return True
+
+
+def _text(value: object) -> str:
+    return str(value).replace(" ", "")

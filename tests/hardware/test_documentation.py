@@ -1,0 +1,30 @@
+"""docs/hardware.md against the program: the table of stops, and the keys it names."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import apcc_torch
+from apcc_torch.hardware.stops import Ending, StopReason
+from composed import composed_realtime
+
+PAGE = (Path(apcc_torch.__file__).resolve().parents[1] / "docs" / "hardware.md").read_text()
+DONE = {Ending.HOLD: "held", Ending.TORQUE_OFF: "let go"}
+
+
+def test_the_table_of_stops_is_the_programs() -> None:
+    rows = re.findall(r"^\| (\d+) \| `(\w+)` \| ([a-z ]+) \| (.+) \|$", PAGE, re.MULTILINE)
+    assert rows == [(str(r.code), r.value, DONE[r.ending], r.meaning) for r in StopReason]
+
+
+def test_every_key_it_names_exists() -> None:
+    config = composed_realtime("experiment=setpoint", "hardware=dynamixel_optitrack")
+    keys = set(re.findall(r"`((?:hardware|guards|loop|calibration|robot)(?:\.[a-z_]+)+)", PAGE))
+    keys |= set(re.findall(r" ((?:hardware|guards|loop|calibration|controller|experiment)(?:\.[A-Za-z_]+)+)=", PAGE))
+    assert len(keys) > 20
+    for key in keys - {"guards.endings", "hardware.simulated.lockstep"}:
+        found: object = config
+        for name in key.split("."):
+            assert hasattr(found, name), f"{key} is no key"
+            found = getattr(found, name)
