@@ -18,6 +18,27 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 
+class Device(ABC):
+    """Something to connect to; `with` connects, and disconnects on every exit."""
+
+    @abstractmethod
+    def connect(self) -> None:
+        """Opens the device."""
+
+    @abstractmethod
+    def disconnect(self) -> None:
+        """Closes the device. Safe to call in any state."""
+
+    def __enter__(self) -> Self:
+        self.connect()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.disconnect()
+
+
 @dataclass(frozen=True)
 class TendonReading:
     """One reading of all tendons.
@@ -34,7 +55,7 @@ class TendonReading:
     raw: dict[str, list[int]]
 
 
-class TendonActuator(ABC):
+class TendonActuator(Device):
     """Motors that set tendon lengths. `with` connects, and on every exit leaves the motors without torque.
 
     The order is connect, calibrate or restore, arm, then read and send; `hold` and `torque_off` end it. Every method
@@ -79,15 +100,6 @@ class TendonActuator(ABC):
     def disconnect(self) -> None:
         """Torque off, then closes the device. Safe to call in any state."""
 
-    def __enter__(self) -> Self:
-        self.connect()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.disconnect()
-
 
 @dataclass(frozen=True)
 class PoseSample:
@@ -104,7 +116,7 @@ class PoseSample:
     valid: NDArray[np.bool_]
 
 
-class PoseSensor(ABC):
+class PoseSensor(Device):
     """A source of poses that keeps only its latest sample. `with` connects and disconnects."""
 
     n_bodies: int
@@ -129,12 +141,3 @@ class PoseSensor(ABC):
     @abstractmethod
     def disconnect(self) -> None:
         """Closes the source. Safe to call in any state."""
-
-    def __enter__(self) -> Self:
-        self.connect()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.disconnect()
