@@ -23,7 +23,7 @@ from apcc_torch.configs.schema import SimulateConfig
 from apcc_torch.configs.typed import typed
 from apcc_torch.experiments.dynamic import curves, dynamic_metrics, simulate, thinned
 from apcc_torch.files import write_json
-from apcc_torch.report.style import SERIES, dress, legend, new_figure, save_figure
+from apcc_torch.report.style import SERIES, dress, new_figure, save_figure
 
 BASE = ("experiment=dynamic_run_2_tuned", "experiment.subset=training", "experiment.duration=6.0", "progress=false")
 TASK = ("residual.target=null", "adaptation.rate=0.1", "adaptation.dead_zone=0.002")
@@ -67,7 +67,7 @@ def studies() -> dict[str, tuple[str, tuple[str, ...], dict[float, tuple[str, ..
     }  # fmt: skip
     found = {
         "window": ("window N of the velocity filter", TASK_LAWS,
-                   {float(n): (f"velocity_filter.window={n}",) for n in (5, 50, 200)}),
+                   {float(n): (f"velocity_filter.window={n}",) for n in (5, 15, 50, 200)}),
         "order": ("order of the velocity filter", TASK_LAWS,
                   {float(n): (f"velocity_filter.order={n}", "velocity_filter.window=25") for n in (1, 2, 3)}),
         "rate": ("control rate (Hz)", FEW, rates),
@@ -115,7 +115,7 @@ def draw(results: dict[str, dict[str, dict[str, dict[str, float]]]], path: Path)
             if bad:
                 ax.plot(*zip(*bad, strict=True), "x", color=colours[law], markersize=10, markeredgewidth=2.5)
             every += y
-        if name in ("window", "rate", "gain", "hold"):
+        if name in ("window", "gain", "hold"):
             ax.set_xscale("log")
         if max(every) > 15.0:
             ax.set_yscale("log")
@@ -125,7 +125,7 @@ def draw(results: dict[str, dict[str, dict[str, dict[str, float]]]], path: Path)
     handles = {h.get_label(): h for ax in figure.axes for h in ax.get_lines() if h.get_label() in LAWS}
     last = figure.axes[-1]
     last.axis("off")
-    legend(last, handles=list(handles.values()), loc="center", title="law")
+    last.legend(handles=[handles[law] for law in LAWS if law in handles], loc="center", fontsize=13, frameon=False)
     save_figure(figure, path)
 
 
