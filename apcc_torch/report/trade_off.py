@@ -6,10 +6,14 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 from matplotlib.figure import Figure
+from matplotlib.ticker import NullLocator
 
 from apcc_torch.report.style import CONTROLLERS, INK, dress, from_zero, legend, new_figure
 
 Pair = tuple[float, float]
+
+TICKS = (1, 2, 3, 5, 10, 20, 30, 50, 100)
+"""cm, where a logarithmic axis is labelled."""
 
 
 class TradeOff(NamedTuple):
@@ -37,6 +41,9 @@ def trade_off_figure(runs: Mapping[str, TradeOff]) -> Figure:
         dress(ax, r"mean $\Psi$ (cm)", r"mean shape error (mm)", title)
         if max(psi) > 3.0 * min(psi):
             ax.set_xscale("log")
+            ax.set_xticks([tick for tick in TICKS if 0.9 * min(psi) < tick < 1.1 * max(psi)])
+            ax.xaxis.set_major_formatter("{x:g}")
+            ax.xaxis.set_minor_locator(NullLocator())
         from_zero(ax)
     legend(axes[0], loc="best")
     return figure
