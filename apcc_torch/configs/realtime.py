@@ -2,24 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import Any
 
 from omegaconf import MISSING
 
 from apcc_torch.configs.hardware import CalibrationConfig, HardwareConfig
-from apcc_torch.configs.schema import (
-    AdaptationConfig,
-    ControllerConfig,
-    ExperimentConfig,
-    FeedbackConfig,
-    PlantConfig,
-    ResidualConfig,
-    RobotConfig,
-    SensorsConfig,
-    SimulateConfig,
-    VelocityFilterConfig,
-)
+from apcc_torch.configs.schema import ArmConfig, SimulateConfig
 
 
 @dataclass
@@ -106,7 +95,7 @@ class SeriesConfig:
 
 
 @dataclass
-class RealtimeConfig:
+class RealtimeConfig(ArmConfig):
     """Root of `python -m apcc_torch.robot`."""
 
     hardware: HardwareConfig = field(default_factory=HardwareConfig)
@@ -115,35 +104,11 @@ class RealtimeConfig:
     calibration: CalibrationConfig = field(default_factory=CalibrationConfig)
     ramp: RampConfig = field(default_factory=RampConfig)
     series: SeriesConfig = field(default_factory=SeriesConfig)
-    robot: RobotConfig = field(default_factory=RobotConfig)
-    plant: PlantConfig = field(default_factory=PlantConfig)
-    sensors: SensorsConfig = field(default_factory=SensorsConfig)
-    feedback: FeedbackConfig = field(default_factory=FeedbackConfig)
-    velocity_filter: VelocityFilterConfig = field(default_factory=VelocityFilterConfig)
-    controller: ControllerConfig = field(default_factory=ControllerConfig)
-    adaptation: AdaptationConfig = field(default_factory=AdaptationConfig)
-    residual: ResidualConfig = field(default_factory=ResidualConfig)
-    experiment: ExperimentConfig = field(default_factory=ExperimentConfig)
     dry_run: bool = False
     view: bool = True
     log: bool = True
-    seed: int = 0
-    dtype: str = "float64"
 
 
 def model_settings(config: RealtimeConfig) -> SimulateConfig:
     """The part of the settings that a simulation has too, as the builder of simulations takes it."""
-    shared = (
-        "robot",
-        "plant",
-        "sensors",
-        "feedback",
-        "velocity_filter",
-        "controller",
-        "adaptation",
-        "residual",
-        "experiment",
-        "seed",
-        "dtype",
-    )
-    return SimulateConfig(**{name: getattr(config, name) for name in shared})
+    return SimulateConfig(**{shared.name: getattr(config, shared.name) for shared in fields(ArmConfig)})

@@ -174,8 +174,8 @@ class PruneConfig:
 
 
 @dataclass
-class SimulateConfig:
-    """Root of `python -m apcc_torch.simulate`."""
+class ArmConfig:
+    """What a run has, in simulation and on an arm alike."""
 
     robot: RobotConfig = field(default_factory=RobotConfig)
     plant: PlantConfig = field(default_factory=PlantConfig)
@@ -185,12 +185,18 @@ class SimulateConfig:
     controller: ControllerConfig = field(default_factory=ControllerConfig)
     adaptation: AdaptationConfig = field(default_factory=AdaptationConfig)
     residual: ResidualConfig = field(default_factory=ResidualConfig)
-    replay: ReplayConfig = field(default_factory=ReplayConfig)
     experiment: ExperimentConfig = field(default_factory=ExperimentConfig)
-    state: str = "feedback"
-    data: str | None = None
     seed: int = 0
     dtype: str = "float64"
+
+
+@dataclass
+class SimulateConfig(ArmConfig):
+    """Root of `python -m apcc_torch.simulate`."""
+
+    replay: ReplayConfig = field(default_factory=ReplayConfig)
+    state: str = "feedback"
+    data: str | None = None
     device: str = "cpu"
     threads: int | None = 1
     figures: bool = True

@@ -61,9 +61,7 @@ def trade_offs(outcomes: Outcomes) -> dict[str, TradeOff]:
         limits = both["standard"].limits
         if limits is None or run.endswith((HELD_OUT, SINGLE)):
             continue
-        reached = {
-            name: (o.metrics["shape_error_mean_mm"], o.metrics["psi_mean_cm"]) for name, o in both.items()
-        }  # fmt: skip
+        reached = {name: (o.metrics["shape_error_mean_mm"], o.metrics["psi_mean_cm"]) for name, o in both.items()}
         found[run.replace("_", " ")] = TradeOff(limits.trade_off(), 1e3 * float(limits.shape.mean()), reached)
     return found
 
