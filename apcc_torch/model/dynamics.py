@@ -14,13 +14,12 @@ import torch
 from torch import Tensor, nn
 
 from apcc_torch.errors import ValueRangeError
-from apcc_torch.linalg import solve_spd
+from apcc_torch.model.composite import Composite, assembled, composite, solved
 from apcc_torch.model.inertia import (
     ArmShape,
     Bending,
     arm_shape,
     bending,
-    inertia_matrix,
     moments,
     own_momentum,
     quadrature_nodes,
@@ -158,7 +157,7 @@ class SoftArmDynamics(nn.Module):
         bend, base = self._bending(place)
         sums = moments(bend, masses)
         shape = arm_shape(bend, base, own_momentum(bend, sums))
-        return inertia_matrix(bend, shape, sums, self.before)
+        return assembled(composite(bend, shape, sums, self.before))
 
     def gravity(self, q: Tensor, payload: Payload = None) -> Tensor:
         """G(q) = dU_gravity/dq (..., n), Eq. (38) [Dalenberg].
@@ -230,16 +229,8 @@ class SoftArmDynamics(nn.Module):
         section_wrenches: Tensor | None = None,
     ) -> EquationOfMotion:
         """M and C qdot + G less external loads, in one pass; the arguments are those of `forward`."""
-        loads = Loads(wrench, distributed, section_wrenches)
-        (place, rate), masses = self._state(payload, loads, q=q, qdot=qdot)
-        bend, base = self._bending(place)
-        sums = moments(bend, masses)
-        motion = rates(bend, rate, self.powers)
-        shape = arm_shape(bend, base, own_momentum(bend, sums) + motion.columns)
-        lift = self.gravity_acceleration
-        forces = masses * accelerations(bend, motion, shape, rate, self.before, lift)
-        bias = self._loaded(bend, shape, forces, loads)
-        return EquationOfMotion(inertia_matrix(bend, shape, sums, self.before), bias)
+        parts, bias = self._parts(q, qdot, payload, Loads(wrench, distributed, section_wrenches))
+        return EquationOfMotion(assembled(parts), bias)
 
     def forward(
         self,
@@ -263,10 +254,9 @@ class SoftArmDynamics(nn.Module):
             section_wrenches: (..., n_b, 6) external torque and force at every section's tip, world axes.
         """
         check_tensor("tau", tau, (3 * self.n_sections,))
-        equation = self.equation(q, qdot, payload, wrench, distributed, section_wrenches)
+        parts, bias = self._parts(q, qdot, payload, Loads(wrench, distributed, section_wrenches))
         # Eq. (35)
-        rhs = tau - equation.bias - self.stiffness_diagonal * q - self.damping_diagonal * qdot
-        return solve_spd(equation.inertia, rhs.unsqueeze(-1)).squeeze(-1)
+        return solved(parts, tau - bias - self.stiffness_diagonal * q - self.damping_diagonal * qdot)
 
     def energy(self, q: Tensor, qdot: Tensor, payload: Payload = None) -> Energy:
         """Kinetic and potential energy, J; see `Energy`. Heights are measured from the world origin.
@@ -280,7 +270,7 @@ class SoftArmDynamics(nn.Module):
         bend, base = self._bending(place)
         sums = moments(bend, masses)
         shape = arm_shape(bend, base, own_momentum(bend, sums))
-        inertia = inertia_matrix(bend, shape, sums, self.before)
+        inertia = assembled(composite(bend, shape, sums, self.before))
         velocity = rate.movedim(0, -1)
         kinetic = 0.5 * (velocity * (inertia @ velocity.unsqueeze(-1)).squeeze(-1)).sum(-1)
         # First moment of a section about its base: L times the momentum of its stretching column.
@@ -288,6 +278,16 @@ class SoftArmDynamics(nn.Module):
         gravity = self.gravity_acceleration * height.sum(0)
         elastic = 0.5 * (self.stiffness_diagonal * q * q).sum(-1)
         return Energy(kinetic, gravity + elastic, gravity, elastic.expand_as(gravity))
+
+    def _parts(self, q: Tensor, qdot: Tensor, payload: Payload, loads: Loads) -> tuple[Composite, Tensor]:
+        """The parts of M and the bias of `EquationOfMotion`, in one pass."""
+        (place, rate), masses = self._state(payload, loads, q=q, qdot=qdot)
+        bend, base = self._bending(place)
+        sums = moments(bend, masses)
+        motion = rates(bend, rate, self.powers)
+        shape = arm_shape(bend, base, own_momentum(bend, sums) + motion.columns)
+        forces = masses * accelerations(bend, motion, shape, rate, self.before, self.gravity_acceleration)
+        return composite(bend, shape, sums, self.before), self._loaded(bend, shape, forces, loads)
 
     def _bending(self, place: Tensor) -> tuple[Bending, Tensor]:
         dims = place.dim() - 1

@@ -212,65 +212,6 @@ def own_momentum(bend: Bending, sums: Moments) -> list[Tensor]:
     ]  # fmt: skip
 
 
-def own_inertia(bend: Bending, sums: Moments) -> Tensor:
-    """(9, n_b, *batch) inertia of a section in its own (dx, dy, dL), row by row."""
-    x, y, length = bend.x, bend.y, bend.length
-    square = length * length
-    bb = square * sums.bb
-    bent = square * (2.0 * sums.bb1 + sums.squares)
-    mixed = length * (sums.bb + bend.square * sums.bb1 + sums.aa1)
-    xy, xl, yl = x * y * bent, x * mixed, y * mixed
-    return torch.stack((bb + x * x * bent, xy, xl, xy, bb + y * y * bent, yl, xl, yl, bend.square * sums.bb + sums.aa))
-
-
 def sum_over(weights: Tensor, values: Tensor) -> Tensor:
     """(n_b, n_b) weights applied over the section dimension of values (C, n_b, *batch)."""
     return (weights @ values.flatten(2)).reshape(values.shape) if values.dim() > 2 else values @ weights.mT
-
-
-def inertia_matrix(bend: Bending, shape: ArmShape, sums: Moments, before: Tensor) -> Tensor:
-    """M(q) as (*batch, 3 n_b, 3 n_b).
-
-    Args:
-        bend: From `bending`.
-        shape: From `arm_shape`, whose first five extra columns are `own_momentum`.
-        sums: From `moments`.
-        before: (n_b, n_b) strictly lower triangle of ones.
-    """
-    n_b = before.shape[-1]
-    bases, length = shape.bases, bend.length
-    linear, spin = shape.local[:, :3], shape.local[:, 3:5]
-    first = length * linear[:, 2]  # first moment about the section's base
-    # Second moment about the world origin, as a sum of outer products.
-    z = shape.frames[:, 2]
-    theta = bend.x * shape.frames[:, 0] + bend.y * shape.frames[:, 1]
-    square = length * length
-    bb, ab, aa = square * sums.bb, square * sums.ab, square * sums.aa
-    whole = first + sums.mass * bases
-    left = torch.stack((theta, z, bases, first), dim=1)
-    right = torch.stack((bb * theta + ab * z, ab * theta + aa * z, whole, bases), dim=1)
-    second = (left.unsqueeze(1) * right).sum(2)
-    beyond = sum_over(before.mT, torch.cat((second.flatten(0, 1), whole, sums.mass.unsqueeze(0))))
-    second, whole, mass = beyond[:9].unflatten(0, (3, 3)), beyond[9:12], beyond[12]
-
-    angular, origin = shape.twists[:3, :2], shape.twists[3:]
-    swing = cross(whole.unsqueeze(1), torch.cat((origin, angular), dim=1))
-    trace = second[0, 0] + second[1, 1] + second[2, 2]
-    turning = trace * angular - rotate(second, angular)
-    carried_angular = torch.cat((swing[:, :2] + turning, swing[:, 2:3]), dim=1)
-    push = mass * origin
-    carried_linear = torch.cat((push[:, :2] - swing[:, 3:], push[:, 2:]), dim=1)
-    carried = torch.cat((carried_angular, carried_linear), dim=0)
-
-    arm = cross(bases.unsqueeze(1), linear)
-    own = torch.cat((torch.cat((arm[:, :2] + spin, arm[:, 2:]), dim=1), linear), dim=0)
-    diagonal = own_inertia(bend, sums) + (shape.twists.unsqueeze(2) * carried.unsqueeze(1)).sum(0).flatten(0, 1)
-
-    # Rows are the moving section l, columns the section m < l that carries it.
-    moving = (carried + own).movedim((0, 2, 1), (-3, -2, -1)).flatten(-2)
-    carrying = shape.twists.movedim((0, 2, 1), (-3, -2, -1)).flatten(-2)
-    lower = (moving.mT @ carrying).unflatten(-1, (n_b, 3)).unflatten(-3, (n_b, 3)) * before[:, None, :, None]
-    block = diagonal.unflatten(0, (3, 3)).movedim((0, 1, 2), (-3, -2, -1))
-    lower.diagonal(dim1=-4, dim2=-2).add_(0.5 * block)
-    half = lower.flatten(-4, -3).flatten(-2)
-    return half + half.mT
