@@ -41,3 +41,7 @@ class DeviceFaultError(HardwareError):
 
 class SafetyError(HardwareError):
     """A guard of the runner was violated: it stops rather than going on."""
+
+
+class CompileError(ApccError, RuntimeError):
+    """A function cannot be compiled: it cannot be traced, uses an operation without a rule, or no compiler is there."""

@@ -38,8 +38,32 @@ def hold(module: nn.Module, **settings: Setting | None) -> None:
     for name, value in settings.items():
         if isinstance(value, Tensor):
             module.register_buffer(name, value)
+            _trailing(module)[name] = 0
         else:
             setattr(module, name, value)
+
+
+def hold_rows(module: nn.Module, **tensors: tuple[Tensor | None, int]) -> None:
+    """Makes tensors buffers of a module that may differ from row to row: name = (tensor, its trailing dimensions)."""
+    for name, (value, trailing) in tensors.items():
+        module.register_buffer(name, value)
+        _trailing(module)[name] = trailing
+
+
+def _trailing(module: nn.Module) -> dict[str, int]:
+    """The buffers of a module that may have leading dimensions, with the number of the others."""
+    return module.__dict__.setdefault("trailing_dimensions", {})
+
+
+def row_tensors(module: nn.Module) -> dict[str, tuple[Tensor, int]]:
+    """Of a module and all it holds, the buffers that differ by row: dotted name, tensor, trailing dimensions."""
+    found = {}
+    for prefix, part in module.named_modules():
+        for name, trailing in part.__dict__.get("trailing_dimensions", {}).items():
+            tensor = getattr(part, name)
+            if tensor is not None and tensor.dim() > trailing:
+                found[f"{prefix}.{name}" if prefix else name] = (tensor, trailing)
+    return found
 
 
 def aligned(value: Given, extra: int) -> Given:

@@ -38,8 +38,9 @@ from apcc_torch.model.backbone import HANGING
 from apcc_torch.model.integrators import ArmState
 from apcc_torch.model.stiffness import scaled_stiffness
 from apcc_torch.model.tendons import rack_routing
-from apcc_torch.simulation.dynamic import DynamicSettings, Plant, simulate_dynamic
+from apcc_torch.simulation.dynamic import DynamicSettings, simulate_dynamic
 from apcc_torch.simulation.kinematic import start_configuration
+from apcc_torch.simulation.plant import Plant
 from apcc_torch.simulation.sensors import PoseSensors
 from apcc_torch.simulation.trajectory import SetPoint, SineTrajectory
 

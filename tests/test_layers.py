@@ -25,6 +25,7 @@ LAYERS: tuple[tuple[str, ...], ...] = (
     ("errors",),
     ("files",),
     ("settings", "shapes", "conf_path"),
+    ("native",),
     ("linalg",),
     ("lie",),
     ("model",),

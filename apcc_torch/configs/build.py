@@ -24,7 +24,7 @@ from apcc_torch.model.friction import TendonTransmission
 from apcc_torch.model.stiffness import scaled_stiffness
 from apcc_torch.model.tendons import TendonRouting, rack_routing
 from apcc_torch.settings import Setting, aligned
-from apcc_torch.simulation.dynamic import Plant
+from apcc_torch.simulation.plant import Plant
 from apcc_torch.simulation.sensors import PoseSensors
 from apcc_torch.simulation.trajectory import SetPoint, SineTrajectory
 

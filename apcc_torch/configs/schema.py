@@ -188,6 +188,7 @@ class ArmConfig:
     experiment: ExperimentConfig = field(default_factory=ExperimentConfig)
     seed: int = 0
     dtype: str = "float64"
+    compile: str = "off"
 
 
 @dataclass

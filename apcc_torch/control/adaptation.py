@@ -7,7 +7,7 @@ from torch import Tensor, nn
 
 from apcc_torch.control.gain import gain_matrix
 from apcc_torch.errors import ValueRangeError
-from apcc_torch.settings import Setting, aligned, check_setting, hold, is_used
+from apcc_torch.settings import Setting, aligned, check_setting, hold, hold_rows, is_used
 from apcc_torch.shapes import check_finite, check_same, check_tensor
 
 REGRESSORS = ("partial", "estimator_aware", "none")
@@ -70,7 +70,7 @@ class AdaptiveLaw(nn.Module):
         super().__init__()
         if regressor not in REGRESSORS:
             raise ValueRangeError(f"regressor must be one of {', '.join(REGRESSORS)}, got {regressor!r}")
-        self.register_buffer("gamma", gain_matrix("gamma", gamma, n_sections))
+        hold_rows(self, gamma=(gain_matrix("gamma", gamma, n_sections), 2))
         for name, value in {"normalisation": normalisation, "dead_zone": dead_zone}.items():
             check_setting(name, value, zero=True)
         if rate is not None:
@@ -82,13 +82,12 @@ class AdaptiveLaw(nn.Module):
             raise ValueRangeError("lower must be positive: a section cannot have no length")
         if lower is not None and upper is not None and bool((lower >= upper).any()):
             raise ValueRangeError("lower must be below upper for every section")
-        self.register_buffer("lower", lower)
-        self.register_buffer("upper", upper)
+        hold_rows(self, lower=(lower, 1), upper=(upper, 1))
         self.regressor = regressor
         hold(self, rate=rate, normalisation=normalisation, dead_zone=dead_zone)
         self._normalised, self._has_dead_zone = is_used(normalisation), is_used(dead_zone)
         ends = None if reach is None else _cumulative_reach(reach, n_sections)
-        self.register_buffer("reach", ends)
+        hold_rows(self, reach=(ends, 1))
         # How many sections each wanted end lies behind; one that is zero asks for nothing.
         self._reaching = [] if ends is None else [i + 1 for i in range(n_sections) if bool((ends[..., i] > 0).any())]
 

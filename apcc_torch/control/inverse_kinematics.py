@@ -7,7 +7,7 @@ from torch import Tensor, nn
 
 from apcc_torch.control.gain import gain_matrix
 from apcc_torch.linalg import damped_pseudo_inverse
-from apcc_torch.settings import Setting, aligned, check_setting, hold
+from apcc_torch.settings import Setting, aligned, check_setting, hold, hold_rows
 from apcc_torch.shapes import check_same, check_tensor
 
 
@@ -65,7 +65,7 @@ class InverseKinematics(nn.Module):
         length_rate: Setting | None = None,
     ) -> None:
         super().__init__()
-        self.register_buffer("K", gain_matrix("K", K, 3))
+        hold_rows(self, K=(gain_matrix("K", K, 3), 2))
         for name, value in {"damping": damping, "null_gain": null_gain}.items():
             check_setting(name, value, zero=True)
         for name, bound in {"epsilon": epsilon, "bend_rate": bend_rate, "length_rate": length_rate}.items():

@@ -27,6 +27,7 @@ from apcc_torch.linalg import solve_spd
 from apcc_torch.model.abscissae import located
 from apcc_torch.model.backbone import PCCBackbone
 from apcc_torch.model.chain import body_jacobian
+from apcc_torch.settings import hold_rows
 from apcc_torch.shapes import check_finite, check_tensor
 
 TARGETS = ("curve", "sensors")
@@ -134,8 +135,7 @@ class ResidualLaw(nn.Module):
         self.excitation = excitation
         self.memory = memory
         self.rate = rate
-        self.register_buffer("nominal", nominal.detach().clone())
-        self.register_buffer("gains", gains.detach().clone())
+        hold_rows(self, nominal=(nominal.detach().clone(), 1), gains=(gains.detach().clone(), 1))
 
     @property
     def needs_orientations(self) -> bool:

@@ -15,7 +15,7 @@ from apcc_torch.estimation.step import Residual, damped_step, row_weights
 from apcc_torch.model.abscissae import located
 from apcc_torch.model.backbone import MaterialPoints, PCCBackbone
 from apcc_torch.model.chain import Chain, body_jacobian, last_chain
-from apcc_torch.settings import Setting, aligned, check_setting, hold
+from apcc_torch.settings import Setting, aligned, check_setting, hold, hold_rows
 from apcc_torch.shapes import batch_shape, check_finite, check_same, check_tensor
 
 MODES = ("position", "pose", "hierarchical")
@@ -151,7 +151,7 @@ class StateFeedback(nn.Module):
         hold(self, angular_weight=angular_weight, settled_step=settled_step, damping=damping)
         hold(self, linear_threshold=linear_threshold, angular_threshold=angular_threshold)
         hold(self, bend_step=bend_step, length_step=length_step)
-        self.register_buffer("abscissae", abscissae.detach().clone())
+        hold_rows(self, abscissae=(abscissae.detach().clone(), 1))
 
     def forward(
         self,

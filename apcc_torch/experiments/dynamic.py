@@ -75,7 +75,7 @@ def simulate(
         trajectory, payload = build.sine(), build.payloads()
     plant = build.plant(payload)
     settings = DynamicSettings(
-        config.experiment.duration, config.controller.rate, config.plant.substeps, config.plant.settle
+        config.experiment.duration, config.controller.rate, config.plant.substeps, config.plant.settle, config.compile
     )
     generator = torch.Generator(build.device).manual_seed(config.seed)
     with torch.inference_mode():

@@ -99,6 +99,7 @@ def simulate(config: SimulateConfig, points: int | None = None, progress: Progre
             config.experiment.duration,
             config.controller.rate,
             progress or progress_bar("section V-A", config.progress),
+            config.compile,
         )
     return Outcome(log, pi, controller)
 

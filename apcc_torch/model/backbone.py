@@ -13,6 +13,7 @@ from apcc_torch.model.abscissae import decouple, section_fractions
 from apcc_torch.model.arc import arc_pose
 from apcc_torch.model.chain import Chain, body_jacobian, build_chain, tip_jacobian
 from apcc_torch.model.regressor import jacobian_rate, linear_regressor
+from apcc_torch.settings import hold_rows
 from apcc_torch.shapes import batch_shape, check_same, check_tensor
 
 HANGING = ((1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0))
@@ -75,7 +76,7 @@ class PCCBackbone(nn.Module):
         if not (float(defect) < 1e-4 and float(torch.linalg.det(rotation)) > 0.0):
             raise ValueRangeError("base_rotation must be a rotation matrix (orthonormal, determinant 1)")
         self.n_sections = n_sections
-        self.register_buffer("base_rotation", base_rotation.detach().clone())
+        hold_rows(self, base_rotation=(base_rotation.detach().clone(), 2))
 
     @property
     def n(self) -> int:

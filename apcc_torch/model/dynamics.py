@@ -26,6 +26,7 @@ from apcc_torch.model.inertia import (
 )
 from apcc_torch.model.loads import Loads, Payload, carried_wrench, distributed_load, front
 from apcc_torch.model.motion import accelerations, generalized_force, rates
+from apcc_torch.settings import hold_rows
 from apcc_torch.shapes import batch_shape, check_finite, check_positive, check_same, check_tensor
 
 
@@ -124,14 +125,11 @@ class SoftArmDynamics(nn.Module):
             base_rotation=(base_rotation, 2), gravity=(acceleration, 0),
         )  # fmt: skip
         self.n_sections = n_b
-        self.register_buffer("lengths", lengths)
-        self.register_buffer("masses", masses)
-        self.register_buffer("stiffness_diagonal", stiffness)
-        self.register_buffer("damping_diagonal", damping)
-        self.register_buffer("base_rotation", base_rotation)
-        self.register_buffer("gravity_acceleration", acceleration)
+        hold_rows(self, lengths=(lengths, 1), masses=(masses, 1), stiffness_diagonal=(stiffness, 1))
+        hold_rows(self, damping_diagonal=(damping, 1), base_rotation=(base_rotation, 2))
+        hold_rows(self, gravity_acceleration=(acceleration, 0))
+        hold_rows(self, batch_marker=(torch.zeros(batch, dtype=dtype, device=device), 0))
         self.register_buffer("powers", powers.to(dtype=dtype, device=device))
-        self.register_buffer("batch_marker", torch.zeros(batch, dtype=dtype, device=device), persistent=False)
         self.register_buffer("weights", weights.to(dtype=dtype, device=device))
         self.register_buffer("tip", tip)
         self.register_buffer("before", torch.ones(n_b, n_b, dtype=dtype, device=device).tril(-1))

@@ -46,7 +46,7 @@ class Guarded(NamedTuple):
     diverged_at: Tensor
 
 
-def guard(previous: Tensor, proposed: Tensor, diverged_at: Tensor, step: int, bound: float = 1e3) -> Guarded:
+def guard(previous: Tensor, proposed: Tensor, diverged_at: Tensor, step: int | Tensor, bound: float = 1e3) -> Guarded:
     """Accepts `proposed` for the rows that are finite, within `bound` and not diverged before; the others stay.
 
     Args:

@@ -10,22 +10,20 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from apcc_torch.control.controller import APCCController
-from apcc_torch.control.pid import TendonPID, TendonReference, ramp
-from apcc_torch.control.signals import Command, ControllerState, Measurement
+from apcc_torch.control.pid import ramp
+from apcc_torch.control.signals import ControllerState, Measurement
 from apcc_torch.errors import ConfigError, ValueRangeError
 from apcc_torch.model.abscissae import decouple
-from apcc_torch.model.backbone import PCCBackbone
-from apcc_torch.model.dynamics import EquationOfMotion, SoftArmDynamics
-from apcc_torch.model.friction import TendonTransmission
-from apcc_torch.model.integrators import Actuation, ArmState, guard, semi_implicit_step
-from apcc_torch.model.tendons import TendonRouting
-from apcc_torch.settings import Setting, aligned, check_setting
+from apcc_torch.model.integrators import ArmState
+from apcc_torch.native.compiled import compiled
+from apcc_torch.settings import hold_rows
+from apcc_torch.simulation.plant import Plant, PlantState
 from apcc_torch.simulation.progress import Progress, quiet
 from apcc_torch.simulation.rows import Rows
-from apcc_torch.simulation.sensors import PoseSensors
+from apcc_torch.simulation.sensors import Draws, PoseSensors, SensorState
 from apcc_torch.simulation.trajectory import Trajectory
 
 
@@ -37,12 +35,14 @@ class DynamicSettings:
     control_rate: Hz.
     substeps: Plant steps in one control period.
     settle: s during which the tendons hold their zero lengths and the arm comes to rest under gravity.
+    compile: How a period is run, one of `native.compiled.MODES`; compiled code has no gradients.
     """
 
     duration: float = 10.0
     control_rate: float = 100.0
     substeps: int = 4
     settle: float = 3.0
+    compile: str = "off"
 
     def __post_init__(self) -> None:
         """Raises ValueRangeError where a time or rate is not positive."""
@@ -77,126 +77,124 @@ class DynamicLog(NamedTuple):
     diverged_at: Tensor
 
 
-class PlantState(NamedTuple):
-    """The arm, the integral z (R, n_a) of its tendon loop, m s, and when each row diverged (R,), see `DynamicLog`."""
+class LoopState(NamedTuple):
+    """All that a closed loop remembers: the true arm, the controller, the sensors, the last command y (R, n_a), m."""
 
-    arm: ArmState
-    z: Tensor
-    diverged_at: Tensor
+    plant: PlantState
+    controller: ControllerState
+    sensors: SensorState
+    y: Tensor
 
 
-class Plant:
-    """The true arm and its tendon loop.
+class ClosedLoop(nn.Module):
+    """One control period of the closed loop, as one pure step: read the sensors, control, move the arm.
 
     Args:
-        dynamics: The arm.
-        routing: Its tendons.
-        pid: The loop on their lengths.
-        payload: (..., R) tip mass, kg.
-        tendon_damping: Viscous friction of each tendon in its guides, N s/m, a number or (...) one a row.
-        transmission: Slack and dry friction between the motors and the arm; None: the arm feels the motors' forces.
-        bound: Largest magnitude of a coordinate or its rate before a row counts as diverged.
+        plant: The true arm.
+        controller: With a routing, and its feedback at the sensors' abscissae.
+        sensors: What the sensors make of the true poses.
+        trajectory: Targets (R, 3).
+        period: s.
+        substeps: Plant steps in one period.
 
     Raises:
-        ConfigError: The dynamics' base rotation is batched.
+        ConfigError: The controller has no routing.
     """
+
+    X_tilde: Tensor
+    j: Tensor
 
     def __init__(
         self,
-        dynamics: SoftArmDynamics,
-        routing: TendonRouting,
-        pid: TendonPID,
-        payload: Tensor,
-        tendon_damping: Setting = 0.0,
-        transmission: TendonTransmission | None = None,
-        bound: float = 1e3,
+        plant: Plant,
+        controller: APCCController,
+        sensors: PoseSensors,
+        trajectory: Trajectory,
+        period: float,
+        substeps: int,
     ) -> None:
-        check_setting("tendon_damping", tendon_damping, zero=True)
-        if dynamics.base_rotation.dim() != 2:
-            raise ConfigError("base_rotation of the plant must be one (3, 3) rotation, shared by all rows")
-        self.dynamics = dynamics
-        self.pid = pid
-        self.payload = payload
-        self.tendon_damping = tendon_damping
-        self.transmission = transmission
-        self.bound = bound
-        self.backbone = PCCBackbone(dynamics.n_sections, dynamics.base_rotation)
-        self.B = routing.matrix(dynamics.lengths)
-        stiff = self.B @ self.B.mT
-        self.actuation_stiffness = aligned(pid.K_P, 2) * stiff
-        self.actuation_damping = aligned(pid.K_D + tendon_damping, 2) * stiff
+        super().__init__()
+        if controller.routing is None:
+            raise ConfigError("the controller of a dynamic simulation needs a tendon routing")
+        self.plant = plant
+        self.controller = controller
+        self.sensors = sensors
+        self.trajectory = trajectory
+        self.period = period
+        self.substeps = substeps
+        lengths = plant.dynamics.lengths
+        X_tilde, j = decouple(controller.feedback.abscissae.to(lengths), lengths)
+        hold_rows(self, X_tilde=(X_tilde, 1), j=(j, 1))
 
-    def lengths(self, v: Tensor) -> Tensor:
-        """B^T v: tendon length changes (..., n_a) of a configuration, or their rates of a velocity."""
-        return (self.B.mT @ v.unsqueeze(-1)).squeeze(-1)
+    def poses(self, q: Tensor) -> Tensor:
+        """True poses of the sensors (..., k, 4, 4)."""
+        return self.plant.backbone.pose(q, self.plant.dynamics.lengths, self.X_tilde, self.j)
 
-    def _pull(self, u: Tensor) -> Tensor:
-        """B u: the generalized force (..., n) of forces (..., n_a)."""
-        return (self.B @ u.unsqueeze(-1)).squeeze(-1)
-
-    def forces(self, state: ArmState, z: Tensor, reference: TendonReference) -> Tensor:
-        """Forces u (..., n_a) of the tendon loop, N."""
-        return self.pid(z, self.lengths(state.q), self.lengths(state.qdot), reference.y_d, reference.ydot_d)
-
-    def step(self, state: ArmState, z: Tensor, reference: TendonReference, dt: float) -> tuple[ArmState, Tensor]:
-        """One plant step of order 2: linearly implicit Euler over dt and twice over dt/2, extrapolated.
-
-        Tendon damping makes the plant stiff, with an M(q) that changes on the way. Every Euler step takes M where it
-        starts and is stable; a Rosenbrock method, which keeps one M for both its stages, is not at the same dt.
+    def start(self, arm: PlantState, pi_hat: Tensor) -> LoopState:
+        """The loop on an arm at rest.
 
         Args:
-            state: The arm.
-            z: (R, n_a) integral of the tendon loop, m s.
-            reference: At the step's end; the step's references lie on the straight line that leads there.
-            dt: Step, s.
-
-        Returns:
-            The arm and the integral after the step.
+            arm: The settled arm.
+            pi_hat: (..., n_b) first estimates, m.
         """
-        half = 0.5 * dt
-        midway = TendonReference(reference.y_d - half * reference.ydot_d, reference.ydot_d)
-        equation = self.dynamics.equation(state.q, state.qdot, self.payload)
-        whole, z_whole = self._euler(state, z, reference, dt, equation)
-        middle, z_middle = self._euler(state, z, midway, half, equation)
-        halves, z_halves = self._euler(middle, z_middle, reference, half, None)
-        later = ArmState(2.0 * halves.q - whole.q, 2.0 * halves.qdot - whole.qdot)
-        return later, 2.0 * z_halves - z_whole
+        T = self.poses(arm.arm.q)
+        controller, routing = self.controller, self.controller.routing
+        assert routing is not None  # refused above
+        q = torch.zeros(*T.shape[:-3], controller.backbone.n, dtype=T.dtype, device=T.device)
+        # The arm hangs nearly straight; a few rounds of algorithm 2 leave no trace of the first guess.
+        for _ in range(5):
+            q = controller.feedback(q, pi_hat, T).q_bar
+        state = controller.initial_state(q, pi_hat, torch.zeros((), dtype=T.dtype, device=T.device))
+        return LoopState(arm, state, self.sensors.initial_state(T), routing.lengths(state.q_d, state.pi_hat))
 
-    def _euler(
-        self, state: ArmState, z: Tensor, reference: TendonReference, dt: float, equation: EquationOfMotion | None
-    ) -> tuple[ArmState, Tensor]:
-        """One linearly implicit Euler step under the reference of its end."""
-        u, drag = self.forces(state, z, reference), aligned(self.tendon_damping, 1) * self.lengths(state.qdot)
-        if self.transmission is None:
-            tau = self._pull(u - drag)
-        else:
-            tau = self.transmission(u, state.q, state.qdot, self.dynamics.lengths) - self._pull(drag)
-        actuation = Actuation(tau, self.actuation_stiffness, self.actuation_damping)
-        later = semi_implicit_step(self.dynamics, state, actuation, dt, self.payload, equation=equation)
-        return later, self.pid.integrate(z, self.lengths(later.q), reference.y_d, dt)
+    def blank(self) -> tuple[LoopState, Tensor, Tensor, Draws]:
+        """Arguments of the form that one row has: what a compiler needs to see."""
+        lengths = self.plant.dynamics.lengths
+        zero = torch.zeros((), dtype=lengths.dtype, device=lengths.device)
+        q, y = (zero.expand(n).clone() for n in (self.plant.backbone.n, self.plant.B.shape[-1]))
+        model, k = self.controller.backbone, torch.zeros((), dtype=torch.int64, device=lengths.device)
+        state = self.controller.initial_state(zero.expand(model.n), zero.expand(model.n_sections) + 0.1, zero)
+        T = torch.eye(4, dtype=zero.dtype, device=zero.device).expand(self.j.shape[-1], 4, 4)
+        sensors = self.sensors.initial_state(T)
+        now = LoopState(PlantState(ArmState(q, q), y, k - 1), state, sensors, y)
+        return now, zero, k, self.sensors.draw(T[(None,) * self.sensors.shared])
 
-    def advance(self, now: PlantState, reference: TendonReference, dt: float, k: int) -> PlantState:
-        """`step` for the rows that are good; a row that leaves its bounds in control step k stays where it was."""
-        moved, z = self.step(now.arm, now.z, reference, dt)
-        kept, diverged_at = guard(torch.cat(now.arm, dim=-1), torch.cat(moved, dim=-1), now.diverged_at, k, self.bound)
-        z = torch.where((diverged_at < 0).unsqueeze(-1), z, now.z)
-        return PlantState(ArmState(*kept.split(self.backbone.n, dim=-1)), z, diverged_at)
-
-    def settled(self, duration: float, dt: float) -> PlantState:
-        """The arm at rest under gravity with its tendons held at their zero lengths.
+    def forward(self, now: LoopState, time: Tensor, k: Tensor, draws: Draws) -> tuple[LoopState, tuple[Tensor, ...]]:
+        """The loop one period later, and the row of the log: `DynamicLog`'s fields without time and divergence.
 
         Args:
-            duration: How long it may take, s.
-            dt: Step, s.
+            now: The loop.
+            time: () s.
+            k: () int64, number of the period.
+            draws: The chance in the sensors' reading.
         """
-        zero = torch.zeros(*self.payload.shape, self.backbone.n, dtype=self.payload.dtype, device=self.payload.device)
-        z = torch.zeros_like(self.lengths(zero))
-        good = torch.full(self.payload.shape, -1, dtype=torch.int64, device=self.payload.device)
-        now = PlantState(ArmState(zero, zero), z, good)
-        hold = TendonReference(torch.zeros_like(z), torch.zeros_like(z))
-        for _ in range(round(duration / dt)):
-            now = self.advance(now, hold, dt, 0)
-        return now
+        plant, arm = self.plant, now.plant
+        sensors, seen, mask = self.sensors.read(now.sensors, self.poses(arm.arm.q), draws)
+        target = self.trajectory(time)
+        state, command = self.controller(now.controller, Measurement(seen, time, mask), target)
+        y = command.y
+        assert y is not None  # the controller has a routing
+        u = plant.forces(arm.arm, arm.z, ramp(now.y, y, 0.0, self.period))
+        x = plant.backbone.tip(arm.arm.q, plant.dynamics.lengths)
+        feedback = command.feedback
+        row = (
+            target.x_d.expand_as(x),
+            x,
+            arm.arm.q,
+            feedback.q_bar,
+            state.q_d,
+            now.controller.pi_hat,
+            feedback.angular_error,
+            feedback.linear_error,
+            feedback.status,
+            plant.lengths(arm.arm.q),
+            now.y,
+            u,
+        )
+        for i in range(self.substeps):
+            reference = ramp(now.y, y, (i + 1) / self.substeps, self.period)
+            arm = plant.advance(arm, reference, self.period / self.substeps, k)
+        return LoopState(arm, state, sensors, y), row
 
 
 def simulate_dynamic(
@@ -217,80 +215,24 @@ def simulate_dynamic(
         sensors: What the sensors make of the true poses.
         trajectory: Targets (R, 3).
         pi_hat: (..., n_b) first estimates, m.
-        settings: Rates and times.
+        settings: Rates and times, and how the loop is run.
         generator: Source of the sensors' noise.
         progress: Wraps the control-step counter, for a progress bar.
 
     Raises:
         ConfigError: The controller has no routing.
     """
-    if controller.routing is None:
-        raise ConfigError("the controller of a dynamic simulation needs a tendon routing")
     period = 1.0 / settings.control_rate
-    dt = period / settings.substeps
-    now = plant.settled(settings.settle, dt)
-    q = now.arm.q
-    X_tilde, j = decouple(controller.feedback.abscissae.to(q), plant.dynamics.lengths)
-    start = torch.zeros((), dtype=q.dtype, device=q.device)
-
-    def poses(q: Tensor) -> Tensor:
-        return plant.backbone.pose(q, plant.dynamics.lengths, X_tilde, j)
-
-    sensor_state = sensors.initial_state(poses(q))
-    state = _first_state(controller, poses(q), pi_hat, start)
-    y_last = controller.routing.lengths(state.q_d, state.pi_hat)
+    loop = ClosedLoop(plant, controller, sensors, trajectory, period, settings.substeps)
+    _, time, k, _ = example = loop.blank()
+    step = compiled(loop, example, settings.compile, plant.payload.numel())
+    arm = plant.settled(settings.settle, period / settings.substeps, settings.compile)
+    now = loop.start(arm, pi_hat)
     steps = round(settings.duration * settings.control_rate) + 1
     log = Rows(steps)
-    for k in progress(range(steps)):
-        time = start + k * period
-        sensor_state, seen, mask = sensors(sensor_state, poses(now.arm.q), generator)
-        target = trajectory(time)
-        pi_before = state.pi_hat
-        state, command = controller(state, Measurement(seen, time, mask), target)
-        y = command.y
-        assert y is not None  # the controller has a routing
-        u = plant.forces(now.arm, now.z, ramp(y_last, y, 0.0, period))
-        log.add(_row(time, target.x_d, plant, now.arm, pi_before, state, command, y_last, u))
-        for i in range(settings.substeps):
-            now = plant.advance(now, ramp(y_last, y, (i + 1) / settings.substeps, period), dt, k)
-        y_last = y
-    return DynamicLog(*[*log.stacked(), now.diverged_at])
-
-
-def _first_state(controller: APCCController, T: Tensor, pi_hat: Tensor, time: Tensor) -> ControllerState:
-    """The controller's state on the settled arm: q_bar as the sensors see it, from a straight first guess."""
-    q = torch.zeros(*T.shape[:-3], controller.backbone.n, dtype=T.dtype, device=T.device)
-    # The arm hangs nearly straight; a few rounds of algorithm 2 leave no trace of the first guess.
-    for _ in range(5):
-        q = controller.feedback(q, pi_hat, T).q_bar
-    return controller.initial_state(q, pi_hat, time)
-
-
-def _row(
-    time: Tensor,
-    x_d: Tensor,
-    plant: Plant,
-    arm: ArmState,
-    pi_hat: Tensor,
-    state: ControllerState,
-    command: Command,
-    y_d: Tensor,
-    u: Tensor,
-) -> tuple[Tensor, ...]:
-    feedback = command.feedback
-    x = plant.backbone.tip(arm.q, plant.dynamics.lengths)
-    return (
-        time,
-        x_d.expand_as(x),
-        x,
-        arm.q,
-        feedback.q_bar,
-        state.q_d,
-        pi_hat,
-        feedback.angular_error,
-        feedback.linear_error,
-        feedback.status,
-        plant.lengths(arm.q),
-        y_d,
-        u,
-    )
+    for index in progress(range(steps)):
+        moment = time + index * period
+        draws = sensors.draw(now.sensors.queue[..., 0, :, :, :], generator)
+        now, row = step(now, moment, k + index, draws)
+        log.add((moment, *row))
+    return DynamicLog(*[*log.stacked(), now.plant.diverged_at])

@@ -5,14 +5,16 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from apcc_torch.control.controller import APCCController
-from apcc_torch.control.signals import Measurement
+from apcc_torch.control.signals import ControllerState, Measurement
 from apcc_torch.errors import ValueRangeError
 from apcc_torch.linalg import damped_pseudo_inverse
 from apcc_torch.model.abscissae import decouple
 from apcc_torch.model.backbone import PCCBackbone
+from apcc_torch.native.compiled import compiled
+from apcc_torch.settings import hold_rows
 from apcc_torch.simulation.progress import Progress, quiet
 from apcc_torch.simulation.rows import Rows
 from apcc_torch.simulation.trajectory import Trajectory
@@ -69,6 +71,132 @@ def start_configuration(
     return q
 
 
+class ExactState(NamedTuple):
+    """q (..., 3 n_b) and pi_hat (..., n_b), m, of the proof's case."""
+
+    q: Tensor
+    pi_hat: Tensor
+
+
+class ExactLoop(nn.Module):
+    """One RK4 step of Eqs. (13)-(15), q being known.
+
+    Args:
+        controller: Supplies the inverse kinematics and the law; its estimator and filter are not used.
+        pi: (..., n_b) true rest lengths, m.
+        trajectory: What to follow.
+        dt: Step, s.
+    """
+
+    pi: Tensor
+
+    def __init__(self, controller: APCCController, pi: Tensor, trajectory: Trajectory, dt: float) -> None:
+        super().__init__()
+        self.controller = controller
+        self.trajectory = trajectory
+        self.dt = dt
+        hold_rows(self, pi=(pi, 1))
+
+    def start(self, pi_hat: Tensor) -> ExactState:
+        """On the trajectory's first point; pi_hat (..., n_b) m."""
+        return ExactState(_on_target(self.controller, self.pi, self.trajectory), pi_hat)
+
+    def blank(self) -> tuple[ExactState, Tensor]:
+        """Arguments of the form that one row has: what a compiler needs to see."""
+        q, pi_hat, zero = _blank(self.controller, self.pi)
+        return ExactState(q, pi_hat), zero
+
+    def slope(self, q: Tensor, pi_hat: Tensor, time: Tensor) -> tuple[Tensor, Tensor]:
+        """qdot and pi_hat_dot at a time."""
+        controller, backbone = self.controller, self.controller.backbone
+        target = self.trajectory(time)
+        e = target.x_d - backbone.tip(q, self.pi)
+        J_hat = backbone.tip_jacobian(q, pi_hat)
+        qdot = controller.inverse_kinematics(J_hat, e, target.xdot_d.expand_as(e), q)
+        if not controller.adaptive:
+            return qdot, torch.zeros_like(pi_hat)
+        return qdot, controller.law.velocity(backbone.regressor(q, qdot)[0], e)
+
+    def forward(self, now: ExactState, time: Tensor) -> tuple[ExactState, tuple[Tensor, ...]]:
+        """The state one step later, and the row of the log: `KinematicLog`'s fields without the time."""
+        q, pi_hat, dt = now.q, now.pi_hat, self.dt
+        x = self.controller.backbone.tip(q, self.pi)
+        none = torch.zeros_like(self.controller.feedback.abscissae.to(q)).expand(*q.shape[:-1], -1)
+        status = torch.zeros_like(q[..., 0], dtype=torch.int64)
+        row = (self.trajectory(time).x_d.expand_as(x), x, q, q, pi_hat, none, none, status)
+        k1 = self.slope(q, pi_hat, time)
+        k2 = self.slope(q + 0.5 * dt * k1[0], pi_hat + 0.5 * dt * k1[1], time + 0.5 * dt)
+        k3 = self.slope(q + 0.5 * dt * k2[0], pi_hat + 0.5 * dt * k2[1], time + 0.5 * dt)
+        k4 = self.slope(q + dt * k3[0], pi_hat + dt * k3[1], time + dt)
+        later = (
+            v + dt / 6.0 * (a + 2.0 * b + 2.0 * c + d)
+            for v, a, b, c, d in zip((q, pi_hat), k1, k2, k3, k4, strict=True)
+        )
+        return ExactState(*later), row
+
+
+class FeedbackState(NamedTuple):
+    """The true arm's q (..., 3 n_b), and what the controller remembers."""
+
+    q: Tensor
+    controller: ControllerState
+
+
+class FeedbackLoop(nn.Module):
+    """One period of section V-A: sensors on the true arm, algorithm 2 and the law; qdot is followed for one period.
+
+    Args:
+        controller: The controller, its feedback at the arm's sensors.
+        pi: (..., n_b) true rest lengths, m.
+        trajectory: What to follow.
+        dt: Period, s.
+    """
+
+    pi: Tensor
+    X_tilde: Tensor
+    j: Tensor
+
+    def __init__(self, controller: APCCController, pi: Tensor, trajectory: Trajectory, dt: float) -> None:
+        super().__init__()
+        self.controller = controller
+        self.trajectory = trajectory
+        self.dt = dt
+        X_tilde, j = decouple(controller.feedback.abscissae.to(pi), pi)
+        hold_rows(self, pi=(pi, 1), X_tilde=(X_tilde, 1), j=(j, 1))
+
+    def start(self, pi_hat: Tensor) -> FeedbackState:
+        """On the trajectory's first point; pi_hat (..., n_b) m."""
+        q = _on_target(self.controller, self.pi, self.trajectory)
+        return FeedbackState(q, self.controller.initial_state(q, pi_hat))
+
+    def blank(self) -> tuple[FeedbackState, Tensor]:
+        """Arguments of the form that one row has: what a compiler needs to see."""
+        q, pi_hat, zero = _blank(self.controller, self.pi)
+        return FeedbackState(q, self.controller.initial_state(q, pi_hat)), zero
+
+    def forward(self, now: FeedbackState, time: Tensor) -> tuple[FeedbackState, tuple[Tensor, ...]]:
+        """The state one period later, and the row of the log: `KinematicLog`'s fields without the time."""
+        target = self.trajectory(time)
+        T = self.controller.backbone.pose(now.q, self.pi, self.X_tilde, self.j)
+        state, command = self.controller(now.controller, Measurement(T, time), target)
+        feedback = command.feedback
+        x = target.x_d - command.e
+        errors = (feedback.angular_error, feedback.linear_error)
+        row = (target.x_d.expand_as(x), x, now.q, feedback.q_bar, now.controller.pi_hat, *errors, feedback.status)
+        return FeedbackState(now.q + command.qdot * self.dt, state), row
+
+
+def _blank(controller: APCCController, like: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """q, pi_hat and a time of one row."""
+    zero = torch.zeros((), dtype=like.dtype, device=like.device)
+    return zero.expand(controller.backbone.n), zero.expand(controller.backbone.n_sections) + 0.1, zero
+
+
+def _on_target(controller: APCCController, pi: Tensor, trajectory: Trajectory) -> Tensor:
+    start = torch.zeros((), dtype=pi.dtype, device=pi.device)
+    return start_configuration(controller.backbone, pi, trajectory(start).x_d)
+
+
 def simulate_exact(
     controller: APCCController,
     pi: Tensor,
@@ -77,6 +205,7 @@ def simulate_exact(
     duration: float,
     rate: float,
     progress: Progress = quiet,
+    compile: str = "off",
 ) -> KinematicLog:
     """The proof's case: q is known, so the loop is the differential equation of Eqs. (13)-(15); RK4 at `rate`.
 
@@ -88,39 +217,11 @@ def simulate_exact(
         duration: s.
         rate: Steps a second, Hz.
         progress: Wraps the step counter, for a progress bar.
+        compile: How a step is run, one of `native.compiled.MODES`; compiled code has no gradients.
     """
-    backbone, ik, law = controller.backbone, controller.inverse_kinematics, controller.law
     pi, pi_hat = torch.broadcast_tensors(pi, pi_hat)
-    dt = 1.0 / rate
-
-    def slope(q: Tensor, estimate: Tensor, time: Tensor) -> tuple[Tensor, Tensor]:
-        target = trajectory(time)
-        e = target.x_d - backbone.tip(q, pi)
-        qdot = ik(backbone.tip_jacobian(q, estimate), e, target.xdot_d.expand_as(e), q)
-        if not controller.adaptive:
-            return qdot, torch.zeros_like(estimate)
-        return qdot, law.velocity(backbone.regressor(q, qdot)[0], e)
-
-    start = torch.zeros((), dtype=pi.dtype, device=pi.device)
-    q = start_configuration(backbone, pi, trajectory(start).x_d)
-    steps = round(duration * rate) + 1
-    log = Rows(steps)
-    for k in progress(range(steps)):
-        time = start + k * dt
-        target = trajectory(time)
-        none = torch.zeros_like(controller.feedback.abscissae.to(q)).expand(*q.shape[:-1], -1)
-        status = torch.zeros(q.shape[:-1], dtype=torch.int64, device=q.device)
-        x_d = target.x_d.expand(*q.shape[:-1], 3)
-        log.add((time, x_d, backbone.tip(q, pi), q, q, pi_hat, none, none, status))
-        k1 = slope(q, pi_hat, time)
-        k2 = slope(q + 0.5 * dt * k1[0], pi_hat + 0.5 * dt * k1[1], time + 0.5 * dt)
-        k3 = slope(q + 0.5 * dt * k2[0], pi_hat + 0.5 * dt * k2[1], time + 0.5 * dt)
-        k4 = slope(q + dt * k3[0], pi_hat + dt * k3[1], time + dt)
-        q, pi_hat = (
-            v + dt / 6.0 * (a + 2.0 * b + 2.0 * c + d)
-            for v, a, b, c, d in zip((q, pi_hat), k1, k2, k3, k4, strict=True)
-        )
-    return KinematicLog(*log.stacked())
+    loop = ExactLoop(controller, pi, trajectory, 1.0 / rate)
+    return _run(loop, loop.start(pi_hat), loop.blank(), round(duration * rate) + 1, progress, compile)
 
 
 def simulate_feedback(
@@ -131,6 +232,7 @@ def simulate_feedback(
     duration: float,
     rate: float,
     progress: Progress = quiet,
+    compile: str = "off",
 ) -> KinematicLog:
     """Section V-A whole: sensors on the true arm, algorithm 2 and the law in the loop. Fig. 6 [Dalenberg].
 
@@ -144,24 +246,26 @@ def simulate_feedback(
         duration: s.
         rate: Control rate, Hz.
         progress: Wraps the step counter, for a progress bar.
+        compile: How a step is run, one of `native.compiled.MODES`; compiled code has no gradients.
     """
-    backbone = controller.backbone
     pi, pi_hat = torch.broadcast_tensors(pi, pi_hat)
-    start = torch.zeros((), dtype=pi.dtype, device=pi.device)
-    q = start_configuration(backbone, pi, trajectory(start).x_d)
-    X_tilde, j = decouple(controller.feedback.abscissae.to(pi), pi)
-    state = controller.initial_state(q, pi_hat)
-    steps = round(duration * rate) + 1
+    loop = FeedbackLoop(controller, pi, trajectory, 1.0 / rate)
+    return _run(loop, loop.start(pi_hat), loop.blank(), round(duration * rate) + 1, progress, compile)
+
+
+def _run(
+    loop: ExactLoop | FeedbackLoop,
+    now: ExactState | FeedbackState,
+    blank: tuple[ExactState | FeedbackState, Tensor],
+    steps: int,
+    progress: Progress,
+    compile: str,
+) -> KinematicLog:
+    """All steps of a loop from a state; `blank` is the form of one row."""
+    step = compiled(loop, blank, compile, now.q.shape[:-1].numel())
     log = Rows(steps)
     for k in progress(range(steps)):
-        time = start + k / rate
-        target = trajectory(time)
-        T = backbone.pose(q, pi, X_tilde, j)
-        before = state.pi_hat
-        state, command = controller(state, Measurement(T, time), target)
-        feedback = command.feedback
-        x = target.x_d - command.e
-        errors = (feedback.angular_error, feedback.linear_error)
-        log.add((time, target.x_d.expand_as(x), x, q, feedback.q_bar, before, *errors, feedback.status))
-        q = q + command.qdot / rate
+        time = blank[1] + k * loop.dt
+        now, row = step(now, time)
+        log.add((time, *row))
     return KinematicLog(*log.stacked())

@@ -14,9 +14,16 @@ from apcc_torch.shapes import check_tensor
 
 
 class SensorState(NamedTuple):
-    """Poses on their way: (delay + 1, ..., k, 4, 4), the newest first."""
+    """Poses on their way: (..., delay + 1, k, 4, 4), the newest first."""
 
     queue: Tensor
+
+
+class Draws(NamedTuple):
+    """The chance in a reading: standard normal noise (..., k, 6), uniform chances (..., k); None where not used."""
+
+    noise: Tensor | None
+    chance: Tensor | None
 
 
 class PoseSensors(nn.Module):
@@ -60,7 +67,23 @@ class PoseSensors(nn.Module):
 
     def initial_state(self, T: Tensor) -> SensorState:
         """State of a sensor that has long seen poses T (..., k, 4, 4)."""
-        return SensorState(check_tensor("T", T, (None, 4, 4)).expand(self.delay + 1, *T.shape))
+        check_tensor("T", T, (None, 4, 4))
+        return SensorState(T.unsqueeze(-4).expand(*T.shape[:-3], self.delay + 1, *T.shape[-3:]))
+
+    def draw(self, T: Tensor, generator: torch.Generator | None = None) -> Draws:
+        """The chance in one reading of poses with the shape of T (..., k, 4, 4).
+
+        Args:
+            T: Read for its shape and type alone.
+            generator: Where it comes from; None for torch's global one.
+        """
+        drawn = T.shape[self.shared : -2]
+        noise = chance = None
+        if self._noisy:
+            noise = torch.randn(*drawn, 6, dtype=T.dtype, device=T.device, generator=generator)
+        if self._drops:
+            chance = torch.rand(drawn, dtype=T.dtype, device=T.device, generator=generator)
+        return Draws(noise, chance)
 
     def forward(
         self, state: SensorState, T: Tensor, generator: torch.Generator | None = None
@@ -75,18 +98,19 @@ class PoseSensors(nn.Module):
         Returns:
             Next state, measured poses (..., k, 4, 4), and mask (..., k) bool, False where a sensor dropped out.
         """
+        return self.read(state, T, self.draw(T, generator))
+
+    def read(self, state: SensorState, T: Tensor, draws: Draws) -> tuple[SensorState, Tensor, Tensor]:
+        """`forward` with its chance drawn before, by `draw`."""
         check_tensor("T", T, (None, 4, 4))
-        queue = torch.cat((T.unsqueeze(0), state.queue[:-1]))
-        seen = queue[-1]
-        drawn = T.shape[self.shared : -2]
-        if self._noisy:
-            noise = torch.randn(*drawn, 6, dtype=T.dtype, device=T.device, generator=generator)
-            angle = noise[..., :3] * aligned(self.angular_noise, 2)
+        queue = torch.cat((T.unsqueeze(-4), state.queue[..., :-1, :, :, :]), dim=-4)
+        seen = queue[..., -1, :, :, :]
+        if draws.noise is not None:
+            angle = draws.noise[..., :3] * aligned(self.angular_noise, 2)
             turn = se3.exp(torch.cat((angle, torch.zeros_like(angle)), dim=-1))
-            shift = se3.pose(seen[..., :3, :3], seen[..., :3, 3] + aligned(self.position_noise, 2) * noise[..., 3:])
-            seen = shift @ turn
+            place = seen[..., :3, 3] + aligned(self.position_noise, 2) * draws.noise[..., 3:]
+            seen = se3.pose(seen[..., :3, :3], place) @ turn
         mask = torch.ones(T.shape[:-2], dtype=torch.bool, device=T.device)
-        if self._drops:
-            draws = torch.rand(drawn, dtype=T.dtype, device=T.device, generator=generator)
-            mask = (draws >= aligned(self.dropout, 1)).expand(T.shape[:-2])
+        if draws.chance is not None:
+            mask = (draws.chance >= aligned(self.dropout, 1)).expand(T.shape[:-2])
         return SensorState(queue), seen, mask

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor, nn
 
 from apcc_torch.control.signals import Target
-from apcc_torch.settings import Setting, aligned, check_setting, hold
+from apcc_torch.settings import Setting, aligned, check_setting, hold, hold_rows
 from apcc_torch.shapes import check_finite, check_tensor
 
 
@@ -37,8 +37,8 @@ class SineTrajectory(nn.Module):
     def __init__(self, r_0: Tensor, A: Tensor, omega: Setting) -> None:
         super().__init__()
         check_setting("omega", omega)
-        self.register_buffer("r_0", check_finite("r_0", check_tensor("r_0", r_0, (3,))))
-        self.register_buffer("A", check_finite("A", check_tensor("A", A, (3,))))
+        centre, amplitude = (check_finite(n, check_tensor(n, v, (3,))) for n, v in {"r_0": r_0, "A": A}.items())
+        hold_rows(self, r_0=(centre, 1), A=(amplitude, 1))
         hold(self, omega=omega)
 
     def forward(self, time: Tensor) -> Target:
@@ -63,7 +63,7 @@ class SetPoint(nn.Module):
 
     def __init__(self, x_d: Tensor) -> None:
         super().__init__()
-        self.register_buffer("x_d", check_finite("x_d", check_tensor("x_d", x_d, (3,))))
+        hold_rows(self, x_d=(check_finite("x_d", check_tensor("x_d", x_d, (3,))), 1))
 
     def forward(self, time: Tensor) -> Target:
         """Target at time (...), s."""

@@ -26,7 +26,8 @@ from apcc_torch.model.integrators import ArmState
 from apcc_torch.model.statics import equilibrium
 from apcc_torch.model.stiffness import scaled_stiffness
 from apcc_torch.model.tendons import TendonRouting, rack_routing
-from apcc_torch.simulation.dynamic import DynamicLog, DynamicSettings, Plant, simulate_dynamic
+from apcc_torch.simulation.dynamic import DynamicLog, DynamicSettings, simulate_dynamic
+from apcc_torch.simulation.plant import Plant
 from apcc_torch.simulation.sensors import PoseSensors
 from apcc_torch.simulation.trajectory import SetPoint
 from arms import HANGING_BASE, PI

@@ -13,7 +13,7 @@ from apcc_torch.errors import ValueRangeError
 from apcc_torch.hardware.simulated.board import Board, Mode
 from apcc_torch.model.abscissae import decouple
 from apcc_torch.model.tendons import TendonRouting
-from apcc_torch.simulation.dynamic import Plant, PlantState
+from apcc_torch.simulation.plant import Plant, PlantState
 from apcc_torch.simulation.sensors import PoseSensors, SensorState
 
 

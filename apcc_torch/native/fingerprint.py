@@ -1,0 +1,84 @@
+"""What a compiled function depends on, as one number: its settings, its code and torch's version."""
+
+from __future__ import annotations
+
+import hashlib
+import inspect
+from collections.abc import Mapping
+from enum import Enum
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from apcc_torch.errors import CompileError
+from apcc_torch.settings import row_tensors
+
+_PACKAGE = Path(__file__).resolve().parent.parent
+# What nn.Module keeps for itself, none of which changes what `forward` computes.
+_BOOKKEEPING = frozenset(vars(nn.Module())) - {"_parameters", "_buffers", "_modules", "training"}
+
+
+@cache
+def _package_code() -> bytes:
+    digest = hashlib.sha256(torch.__version__.encode())
+    for path in sorted((*_PACKAGE.rglob("*.py"), *_PACKAGE.rglob("*.hpp"))):
+        digest.update(path.read_bytes())
+    return digest.digest()
+
+
+def _code_of(made: type) -> bytes:
+    """The source of a class from outside the package."""
+    if made.__module__.split(".")[0] in ("apcc_torch", "torch", "builtins"):
+        return b""
+    try:
+        return Path(inspect.getfile(made)).read_bytes()
+    except (OSError, TypeError):  # made in an interactive session
+        return repr(sorted(vars(made))).encode()
+
+
+def fingerprint(module: nn.Module, *more: str) -> str:
+    """A name (32 hexadecimal digits) for a module as it is: the same settings and code give the same name.
+
+    Of tensors that differ from row to row only the form of one row counts.
+
+    Raises:
+        CompileError: The module holds something whose value cannot be told.
+    """
+    digest = hashlib.sha256(_package_code())
+    for text in more:
+        digest.update(text.encode())
+    per_row = {id(tensor): trailing for tensor, trailing in row_tensors(module).values()}
+    _add(digest, module, type(module).__name__, per_row)
+    return digest.hexdigest()[:32]
+
+
+def _add(digest: Any, item: Any, where: str, per_row: dict[int, int]) -> None:
+    digest.update(f"{where}:{type(item).__qualname__};".encode())
+    if id(item) in per_row:
+        digest.update(f"rows of {item.dtype}{tuple(item.shape[item.dim() - per_row[id(item)] :])}".encode())
+    elif isinstance(item, Tensor):
+        digest.update(f"{item.dtype}{tuple(item.shape)}".encode())
+        digest.update(item.detach().cpu().contiguous().flatten().view(torch.uint8).numpy().tobytes())
+    elif item is None or isinstance(item, (bool, int, float, str, Enum, torch.dtype, torch.device, torch.Size)):
+        digest.update(repr(item).encode())
+    elif isinstance(item, (list, tuple)):
+        for k, part in enumerate(item):
+            _add(digest, part, f"{where}[{k}]", per_row)
+    elif isinstance(item, (set, frozenset)):
+        digest.update(repr(sorted(map(repr, item))).encode())
+    elif isinstance(item, Mapping):
+        for name, part in item.items():
+            _add(digest, part, f"{where}.{name}", per_row)
+    elif isinstance(item, type) or (callable(item) and not hasattr(item, "__dict__")):
+        digest.update(f"{item.__module__}.{item.__qualname__}".encode())
+    elif hasattr(item, "__dict__"):
+        digest.update(_code_of(type(item)))
+        skipped = _BOOKKEEPING if isinstance(item, nn.Module) else ()
+        for name, part in vars(item).items():
+            if name not in skipped:
+                _add(digest, part, f"{where}.{name}", per_row)
+    else:
+        raise CompileError(f"{where} is a {type(item).__name__}, whose value cannot be told for the compiler's cache")

@@ -1,0 +1,224 @@
+"""Scalar expressions, each stored once: what a traced function is written out to.
+
+An expression is an index into one list. Equal expressions share an index, constants are folded and neutral elements
+dropped as expressions are made, so what a tensor of zeros multiplies costs nothing. In one point the arithmetic is not
+IEEE's: zero times anything is zero, and what is not finite does not spread through a product with a constant zero.
+"""
+
+from __future__ import annotations
+
+import math
+import operator
+from collections.abc import Callable
+from typing import NamedTuple
+
+Constant = float | int | bool
+
+# Kinds of expression: a floating-point number, an integer, a truth value.
+FLOAT, INT, BOOL = "f", "i", "b"
+
+
+class Expression(NamedTuple):
+    """One operation on other expressions.
+
+    op: Name of the operation; "constant" and "input" have no operands.
+    operands: Indices of the operands.
+    kind: FLOAT, INT or BOOL.
+    value: Of a constant its value, of an input its number.
+    """
+
+    op: str
+    operands: tuple[int, ...]
+    kind: str
+    value: Constant | None = None
+
+
+def _divided(a: float, b: float) -> float:
+    if b != 0.0:
+        return a / b
+    return math.nan if a == 0.0 or math.isnan(a) else math.copysign(math.inf, a) * math.copysign(1.0, b)
+
+
+def _root(a: float) -> float:
+    return math.sqrt(a) if a >= 0.0 else math.nan
+
+
+# Operations whose constants are folded here; the others always stay operations.
+_FOLDED: dict[str, Callable[..., Constant]] = {
+    "add": operator.add,
+    "sub": operator.sub,
+    "mul": operator.mul,
+    "div": _divided,
+    "neg": operator.neg,
+    "abs": abs,
+    "sqrt": _root,
+    "sin": math.sin,
+    "cos": math.cos,
+    "floor": math.floor,
+    "lt": operator.lt,
+    "le": operator.le,
+    "eq": operator.eq,
+    "ne": operator.ne,
+    "and": lambda a, b: a and b,
+    "or": lambda a, b: a or b,
+    "not": operator.not_,
+    "float": float,
+    "int": int,
+    "isfinite": math.isfinite,
+}
+_COMMUTATIVE = frozenset({"add", "mul", "eq", "ne", "and", "or"})
+_TRUTH = frozenset({"lt", "le", "eq", "ne", "and", "or", "not", "isfinite"})
+
+
+class Scalars:
+    """A growing list of expressions, the operands of each before it."""
+
+    def __init__(self) -> None:
+        self.expressions: list[Expression] = []
+        self._known: dict[tuple[str, tuple[int, ...], str, str], int] = {}
+
+    def __getitem__(self, index: int) -> Expression:
+        return self.expressions[index]
+
+    def _add(self, op: str, operands: tuple[int, ...], kind: str, value: Constant | None = None) -> int:
+        key = (op, operands, kind, repr(value))  # repr tells 0.0 from -0.0, and NaN is itself
+        index = self._known.get(key)
+        if index is None:
+            index = len(self.expressions)
+            self.expressions.append(Expression(op, operands, kind, value))
+            self._known[key] = index
+        return index
+
+    def constant(self, value: Constant, kind: str) -> int:
+        """A number that is known now."""
+        made = {FLOAT: float, INT: int, BOOL: bool}[kind](value)
+        return self._add("constant", (), kind, made)
+
+    def input(self, number: int, kind: str) -> int:
+        """The input of this number."""
+        return self._add("input", (), kind, number)
+
+    def known(self, index: int) -> Constant | None:
+        """The value of a constant, None of anything else."""
+        found = self.expressions[index]
+        return found.value if found.op == "constant" else None
+
+    def make(self, op: str, *operands: int) -> int:
+        """The expression `op` of the operands, simplified."""
+        values = [self.known(i) for i in operands]
+        kind = BOOL if op in _TRUTH else FLOAT if op == "float" else INT if op == "int" else self[operands[-1]].kind
+        if op in _FOLDED and None not in values:
+            try:
+                return self.constant(_FOLDED[op](*values), kind)
+            except (OverflowError, ValueError):  # sin of infinity, int of NaN: left to the machine
+                return self._add(op, operands, kind)
+        simpler = self._simplified(op, operands, values)
+        if simpler is not None:
+            return simpler
+        if op in _COMMUTATIVE and operands[0] > operands[1]:
+            operands = operands[::-1]
+        return self._add(op, operands, kind)
+
+    def _simplified(self, op: str, operands: tuple[int, ...], values: list[Constant | None]) -> int | None:
+        rule = _RULES.get(op)
+        return None if rule is None else rule(self, operands, values)
+
+
+Rule = Callable[[Scalars, tuple[int, ...], list[Constant | None]], int | None]
+
+
+def _number(value: Constant | None, wanted: float) -> bool:
+    return value is not None and value == wanted
+
+
+def _simpler_sum(scalars: Scalars, operands: tuple[int, ...], values: list[Constant | None]) -> int | None:
+    for this, other in ((0, 1), (1, 0)):
+        if _number(values[this], 0.0):
+            return operands[other]
+    for this, other in ((0, 1), (1, 0)):
+        if scalars[operands[this]].op == "neg":
+            return scalars.make("sub", operands[other], scalars[operands[this]].operands[0])
+    return None
+
+
+def _simpler_difference(scalars: Scalars, operands: tuple[int, ...], values: list[Constant | None]) -> int | None:
+    if _number(values[1], 0.0):
+        return operands[0]
+    if _number(values[0], 0.0):
+        return scalars.make("neg", operands[1])
+    if scalars[operands[1]].op == "neg":
+        return scalars.make("add", operands[0], scalars[operands[1]].operands[0])
+    return None
+
+
+def _simpler_product(scalars: Scalars, operands: tuple[int, ...], values: list[Constant | None]) -> int | None:
+    for this, other in ((0, 1), (1, 0)):
+        if _number(values[this], 0.0):
+            return operands[this]
+        if _number(values[this], 1.0):
+            return operands[other]
+        if _number(values[this], -1.0):
+            return scalars.make("neg", operands[other])
+    first, second = (scalars[i] for i in operands)
+    if first.op == "neg" and second.op == "neg":
+        return scalars.make("mul", first.operands[0], second.operands[0])
+    for this, other in ((0, 1), (1, 0)):
+        if scalars[operands[this]].op == "neg":
+            return scalars.make("neg", scalars.make("mul", scalars[operands[this]].operands[0], operands[other]))
+    return None
+
+
+def _simpler_quotient(scalars: Scalars, operands: tuple[int, ...], values: list[Constant | None]) -> int | None:
+    return operands[0] if _number(values[1], 1.0) else None
+
+
+def _simpler_negation(scalars: Scalars, operands: tuple[int, ...], values: list[Constant | None]) -> int | None:
+    inner = scalars[operands[0]]
+    return inner.operands[0] if inner.op == "neg" else None
+
+
+def _simpler_choice(scalars: Scalars, operands: tuple[int, ...], values: list[Constant | None]) -> int | None:
+    condition, yes, no = operands
+    if values[0] is not None:
+        return yes if values[0] else no
+    if yes == no:
+        return yes
+    if scalars[condition].op == "not":
+        return scalars.make("select", scalars[condition].operands[0], no, yes)
+    return None
+
+
+def _simpler_and(scalars: Scalars, operands: tuple[int, ...], values: list[Constant | None]) -> int | None:
+    if operands[0] == operands[1]:
+        return operands[0]
+    for this, other in ((0, 1), (1, 0)):
+        if values[this] is not None:
+            return operands[other] if values[this] else operands[this]
+    return None
+
+
+def _simpler_or(scalars: Scalars, operands: tuple[int, ...], values: list[Constant | None]) -> int | None:
+    if operands[0] == operands[1]:
+        return operands[0]
+    for this, other in ((0, 1), (1, 0)):
+        if values[this] is not None:
+            return operands[this] if values[this] else operands[other]
+    return None
+
+
+def _simpler_not(scalars: Scalars, operands: tuple[int, ...], values: list[Constant | None]) -> int | None:
+    inner = scalars[operands[0]]
+    return inner.operands[0] if inner.op == "not" else None
+
+
+_RULES: dict[str, Rule] = {
+    "add": _simpler_sum,
+    "sub": _simpler_difference,
+    "mul": _simpler_product,
+    "div": _simpler_quotient,
+    "neg": _simpler_negation,
+    "select": _simpler_choice,
+    "and": _simpler_and,
+    "or": _simpler_or,
+    "not": _simpler_not,
+}

@@ -1,0 +1,155 @@
+"""Writes a trace as a C++ program that works on several rows at once, one a lane."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from importlib.resources import files
+
+import torch
+
+from apcc_torch.native.driver import driver
+from apcc_torch.native.layout import ARRAY, STATEMENTS, TYPE, Layout, counted, laid_out, places
+from apcc_torch.native.scalars import BOOL, FLOAT, INT, Expression
+from apcc_torch.native.trace import Trace
+from apcc_torch.native.values import kind_of
+
+_SPLAT = {FLOAT: "splat", INT: "splat_int", BOOL: "splat_bool"}
+_INFIX = {
+    "add": "+", "sub": "-", "mul": "*", "div": "/", "and": "&", "or": "|",
+    "lt": "<", "le": "<=", "eq": "==", "ne": "!=",
+}  # fmt: skip
+# The functions of lanes.hpp whose names differ from the operation's with an underscore behind it.
+_CALLS = {"float": "real", "int": "integer"}
+
+
+@dataclass
+class Source:
+    """A program in files that compile one by one.
+
+    header: Common to all.
+    parts: Bodies, each with the header before it.
+    lanes: Rows that it works on at once.
+    """
+
+    header: str
+    parts: list[str]
+    lanes: int
+
+
+def program(trace: Trace, lanes: int, dtype: torch.dtype, carried: list[tuple[int, int]], files_wanted: int) -> Source:
+    """The program of a trace.
+
+    Args:
+        trace: From `traced`.
+        lanes: Rows at once; 1 for plain numbers.
+        dtype: What it computes in, float64 or float32.
+        carried: Pairs (output, input): what a repetition hands to the next.
+        files_wanted: How many files the parts are spread over.
+    """
+    layout = laid_out(trace)
+    writer = _Writer(trace, layout)
+    functions = [writer.part(k) for k in range(writer.parts)]
+    header = "\n".join(
+        (_prologue(lanes, dtype), files(__package__).joinpath("lanes.hpp").read_text(), writer.structs())
+    )
+    groups: list[list[str]] = [[] for _ in range(max(1, min(files_wanted, len(functions))))]
+    for k, text in enumerate(functions):
+        groups[k % len(groups)].append(text)
+    groups[0].append(driver(trace, writer.parts, carried))
+    return Source(header, ["\n".join(group) for group in groups], lanes)
+
+
+class _Writer:
+    """Writes the parts of a trace, each expression where the layout has it."""
+
+    def __init__(self, trace: Trace, layout: Layout) -> None:
+        self.layout = layout
+        self.expressions = trace.scalars.expressions
+        self.parts = 1 + (len(layout.order) - 1) // STATEMENTS if layout.order else 1
+        starts, self.inputs = places(trace.inputs)
+        self.places = [
+            start + i for leaf, start in zip(trace.inputs, starts, strict=True) for i in range(counted(leaf))
+        ]
+        self.targets: dict[int, list[str]] = {}
+        self.plain: list[str] = []  # results that no statement computes
+        starts, self.outputs = places(trace.outputs)
+        for leaf, start, row in zip(trace.outputs, starts, trace.results, strict=True):
+            for k, index in enumerate(row, start):
+                place = f"out.{ARRAY[kind_of(leaf.dtype)]}[{k}]"
+                if index in layout.part_of:
+                    self.targets.setdefault(index, []).append(place)
+                else:
+                    self.plain.append(f"{place} = {self._splatted(index, -1)};")
+
+    def structs(self) -> str:
+        """What the parts share: their types and their names."""
+        lines = []
+        for name, sizes in {"Inputs": self.inputs, "Scratch": self.layout.sizes, "Outputs": self.outputs}.items():
+            fields = " ".join(f"{TYPE[k]} {ARRAY[k]}[{max(n, 1)}];" for k, n in sizes.items())
+            lines.append(f"struct {name} {{ {fields} }};")
+        lines += [f"void part_{k}(const Inputs& in, Scratch& s, Outputs& out);" for k in range(self.parts)]
+        return "\n".join(lines)
+
+    def part(self, k: int) -> str:
+        """One function: its share of the statements."""
+        lines = [f"__attribute__((noinline)) void part_{k}(const Inputs& in, Scratch& s, Outputs& out) {{"]
+        for index in self.layout.order[k * STATEMENTS : (k + 1) * STATEMENTS]:
+            expression = self.expressions[index]
+            lines.append(f"const {TYPE[expression.kind]} t{index} = {self._formula(expression, k)};")
+            if index in self.layout.slots:
+                lines.append(f"s.{ARRAY[expression.kind]}[{self.layout.slots[index]}] = t{index};")
+            lines += [f"{place} = t{index};" for place in self.targets.get(index, ())]
+        if k == self.parts - 1:
+            lines += self.plain
+        return "\n".join((*lines, "}"))
+
+    def _formula(self, expression: Expression, part: int) -> str:
+        op, operands = expression.op, expression.operands
+        if op in _INFIX:
+            a, b = (self._name(i, part) for i in operands)
+            return f"{a} {_INFIX[op]} {b}"
+        if op == "neg":
+            return f"-{self._name(operands[0], part)}"
+        whole = [self._splatted(i, part) for i in operands]
+        if op == "select":
+            return f"{whole[0]} ? {whole[1]} : {whole[2]}"
+        if op in ("max", "min"):
+            return f"{op}_{'int' if expression.kind == INT else ''}({', '.join(whole)})"
+        return f"{_CALLS.get(op, op + '_')}({', '.join(whole)})"
+
+    def _name(self, index: int, part: int) -> str:
+        expression = self.expressions[index]
+        if expression.op == "constant":
+            return _literal(expression)
+        if expression.op == "input":
+            return f"in.{ARRAY[expression.kind]}[{self.places[int(expression.value or 0)]}]"
+        if self.layout.part_of[index] == part:
+            return f"t{index}"
+        return f"s.{ARRAY[expression.kind]}[{self.layout.slots[index]}]"
+
+    def _splatted(self, index: int, part: int) -> str:
+        expression = self.expressions[index]
+        name = self._name(index, part)
+        return f"{_SPLAT[expression.kind]}({name})" if expression.op == "constant" else name
+
+
+def _literal(expression: Expression) -> str:
+    value = expression.value
+    if expression.kind == BOOL:
+        return "true" if value else "false"
+    if expression.kind == INT:
+        return f"(INTEGER){value}"
+    text = repr(float(value or 0.0))
+    return {"inf": "(REAL)INFINITY", "-inf": "(REAL)-INFINITY", "nan": "(REAL)NAN"}.get(text, f"(REAL){text}")
+
+
+def _prologue(lanes: int, dtype: torch.dtype) -> str:
+    double = dtype == torch.float64
+    settings = {
+        "LANES": lanes,
+        "REAL": "double" if double else "float",
+        "INTEGER": "long long" if double else "int",
+        "ROUND": "(REAL)6755399441055744.0" if double else "(REAL)12582912.0f",
+        "REACH": "1e5" if double else "5e3",
+    }
+    return "\n".join(f"#define {name} {value}" for name, value in settings.items())
