@@ -32,6 +32,7 @@ LAYERS: tuple[tuple[str, ...], ...] = (
     ("estimation",),
     ("control",),
     ("simulation",),
+    ("identification",),
     ("",),  # apcc_torch/__init__.py, the public surface
     ("envs", "hardware", "report"),
     ("configs",),

@@ -92,16 +92,28 @@ class TendonTransmission(nn.Module):
             lengths: (..., n_b) section rest lengths, m.
             direction: (..., n_a) +1 pulled in, -1 dragged out, between: not fully sliding.
         """
-        bend = q.unflatten(-1, (-1, 3))[..., :2]
-        # The square root is rounded off within a microradian, so that the straight pose has a derivative.
-        angle = torch.sqrt((bend * bend).sum(-1) + 1e-12) - 1e-6
-        turned = self.routing.fractions(lengths) * angle.unsqueeze(-1)
-        before = torch.cumsum(turned, dim=-2) - turned
-        rate = self.friction * direction.unsqueeze(-2)
-        exponent = rate * turned
-        # The mean of exp(-e s) over s in [0, 1]: (1 - exp(-e)) / e, by its series near e = 0.
-        small = exponent.abs() < 1e-3
-        safe = torch.where(small, 1.0, exponent)
-        series = 1.0 - exponent * (0.5 - exponent * (1.0 / 6.0 - exponent / 24.0))
-        mean = torch.where(small, series, -torch.expm1(-safe) / safe)
-        return torch.exp(-rate * before) * mean
+        return tension_share(self.routing.fractions(lengths), q, self.friction * direction)
+
+
+def tension_share(fractions: Tensor, q: Tensor, rate: Tensor) -> Tensor:
+    """Mean tension in each section over the tension at the motor (..., n_b, n_a) under capstan friction.
+
+    Args:
+        fractions: (..., n_b, n_a) share of each section that each tendon traverses.
+        q: (..., 3 n_b) rad, rad, m.
+        rate: (..., n_a) relative loss of tension per radian on the way from the motor, mu times the direction of
+            sliding: positive pulled in, negative dragged out.
+    """
+    bend = q.unflatten(-1, (-1, 3))[..., :2]
+    # The square root is rounded off within a microradian, so that the straight pose has a derivative.
+    angle = torch.sqrt((bend * bend).sum(-1) + 1e-12) - 1e-6
+    turned = fractions * angle.unsqueeze(-1)
+    before = torch.cumsum(turned, dim=-2) - turned
+    rate = rate.unsqueeze(-2)
+    exponent = rate * turned
+    # The mean of exp(-e s) over s in [0, 1]: (1 - exp(-e)) / e, by its series near e = 0.
+    small = exponent.abs() < 1e-3
+    safe = torch.where(small, 1.0, exponent)
+    series = 1.0 - exponent * (0.5 - exponent * (1.0 / 6.0 - exponent / 24.0))
+    mean = torch.where(small, series, -torch.expm1(-safe) / safe)
+    return torch.exp(-rate * before) * mean

@@ -89,7 +89,7 @@ class TendonRouting(nn.Module):
             pi_hat: (..., n_b) section lengths, m.
         """
         # The strain basis of a section is constant, so Eq. (46) is the traversed fraction of the full section's row.
-        return (self.fractions(pi_hat).unsqueeze(-2) * self._rows()).flatten(-3, -2)
+        return (self.fractions(pi_hat).unsqueeze(-2) * full_rows(self.angles, self.offsets)).flatten(-3, -2)
 
     def lengths(self, q: Tensor, pi_hat: Tensor) -> Tensor:
         """Tendon length changes y = B^T q (..., n_a), m, Eq. (49) [Dalenberg].
@@ -114,15 +114,15 @@ class TendonRouting(nn.Module):
         check_same(u=u, pi_hat=pi_hat)
         return (self.matrix(pi_hat) @ u.unsqueeze(-1)).squeeze(-1)
 
-    def _rows(self) -> Tensor:
-        """Rows (3, n_a) of a fully traversed section on (dx, dy, dL)."""
-        return torch.stack(
-            (
-                -self.offsets * torch.cos(self.angles),
-                -self.offsets * torch.sin(self.angles),
-                torch.ones_like(self.offsets),
-            )
-        )
+
+def full_rows(angles: Tensor, offsets: Tensor) -> Tensor:
+    """Rows (..., 3, n_a) of B that a fully traversed section has on (dx, dy, dL), Eqs. (42)-(45) [Dalenberg].
+
+    Args:
+        angles: (..., n_a) angle of each tendon around the backbone, rad.
+        offsets: (..., n_a) distance from the backbone, m.
+    """
+    return torch.stack((-offsets * torch.cos(angles), -offsets * torch.sin(angles), torch.ones_like(offsets)), dim=-2)
 
 
 def rack_routing(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import torch
@@ -16,12 +16,13 @@ from apcc_torch.errors import DataError
 
 @dataclass(frozen=True)
 class CsvTable:
-    """A CSV file of numbers; empty cells are NaN."""
+    """A CSV file of numbers; empty cells are NaN, and so are the cells of columns of words."""
 
     path: Path
     columns: dict[str, int]
     lines: list[int]
     cells: Tensor  # (T, number of columns)
+    words: dict[str, list[str]] = field(default_factory=dict)
 
     def fault(self, what: str, column: str | None = None, row: int | None = None) -> DataError:
         """The error to raise: one sentence that names the file, the column and the line of data row `row`."""
@@ -62,14 +63,19 @@ def _number(cell: str) -> float:
     return float(cell) if cell.strip() else math.nan
 
 
-def read_table(path: Path) -> CsvTable:
+def read_table(path: Path, words: Sequence[str] = ()) -> CsvTable:
     """Reads a CSV file of numbers with a header line whole; empty lines are skipped.
+
+    Args:
+        path: The file.
+        words: Columns that may hold text.
 
     Raises:
         DataError: The file cannot be read, has no data, repeats a column, or has a line that is short or holds text.
     """
     lines: list[int] = []
     rows: list[list[float]] = []
+    texts: dict[str, list[str]] = {name: [] for name in words}
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:
             reader = csv.reader(file)
@@ -82,6 +88,11 @@ def read_table(path: Path) -> CsvTable:
                         f"{path}, line {reader.line_num}: the line has {len(row)} cells where the header has "
                         f"{len(header)} (from column {header[min(len(row), len(header) - 1)]!r} on)"
                     )
+                for name in words:
+                    if name not in header:
+                        raise DataError(f"{path}, column {name!r}: the column is missing")
+                    texts[name].append(row[header.index(name)])
+                    row[header.index(name)] = ""
                 try:
                     rows.append([_number(cell) for cell in row])
                 except ValueError:
@@ -97,7 +108,7 @@ def read_table(path: Path) -> CsvTable:
         if header.count(name) > 1:
             raise DataError(f"{path}, column {name!r}: the column is there more than once")
     columns = {name: i for i, name in enumerate(header)}
-    return CsvTable(path, columns, lines, torch.tensor(rows, dtype=torch.float64))
+    return CsvTable(path, columns, lines, torch.tensor(rows, dtype=torch.float64), texts)
 
 
 def _not_a_number(path: Path, header: list[str], row: list[str], line: int) -> DataError:

@@ -1,0 +1,194 @@
+"""Identification of an arm from a recording: settings to a folder with parameters, their intervals and a comparison."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from apcc_torch.configs import identify as settings
+from apcc_torch.configs.identify import IdentifyConfig
+from apcc_torch.errors import ConfigError, DataError
+from apcc_torch.experiments.folder import RunFolder
+from apcc_torch.experiments.identification_report import report_text
+from apcc_torch.files import write_atomically, write_json
+from apcc_torch.identification.fit import Fit, fit
+from apcc_torch.identification.intervals import Interval, disagreement, intervals, unknown_directions
+from apcc_torch.identification.online import adapt
+from apcc_torch.identification.parameters import Parameters
+from apcc_torch.identification.regression import linear_prediction, mean_prediction
+from apcc_torch.identification.series import Series
+from apcc_torch.identification.split import Split, split, thinned
+from apcc_torch.identification.tendon_arm import Drive, TendonArm
+from apcc_torch.report.identification import Outcome, identification_figures
+from apcc_torch.report.style import save_figures
+
+Say = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class Identified:
+    """A fitted model.
+
+    parameters, fit: What was fitted, and the result. prediction: (N, k, 3) m at every sample.
+    """
+
+    parameters: Parameters
+    fit: Fit
+    prediction: Tensor
+
+
+def error(measured: Tensor, predicted: Tensor) -> float:
+    """Root of the mean squared distance, mm."""
+    return 1e3 * float((measured - predicted).square().sum(-1).mean().sqrt())
+
+
+class Task(NamedTuple):
+    """What every fit of a run shares: the recording, what drove the arm, which samples to fit to, and how."""
+
+    series: Series
+    drive: Drive
+    used: Tensor
+    config: IdentifyConfig
+    say: Say
+
+
+def identified(task: Task, arm: TendonArm, parameters: Parameters) -> Identified:
+    """Fits to the samples in use and predicts all.
+
+    Raises:
+        DataError: The model has no equilibrium at the first parameters, or none at a sample after the fit.
+    """
+    given = task.drive.rows(task.used), task.series.positions[task.used]
+    settings = task.config.fit
+    result = fit(arm, parameters, *given, steps=settings.steps, rounds=settings.rounds, progress=task.say)
+    prediction = arm.predict(task.drive, parameters.values(result.z))
+    if not bool(prediction.isfinite().all()):
+        row = int((~prediction.isfinite()).nonzero()[0, 0])
+        raise DataError(f"{task.series.source}: the fitted arm has no equilibrium at sample {row}")
+    return Identified(parameters, result, prediction)
+
+
+def halves(task: Task, arm: TendonArm, model: Identified) -> float:
+    """`disagreement` of fits to the earlier and to the later half of the samples in use."""
+    fits = [
+        fit(arm, model.parameters, task.drive.rows(part), task.series.positions[part], model.fit.z, rounds=1)
+        for part in task.used.chunk(2)
+    ]
+    return disagreement(*fits)
+
+
+def compare(series: Series, parts: Split, used: Tensor) -> dict[str, Tensor]:
+    """Predictions (N, k, 3) without a model of the arm."""
+    given, wanted = parts.training, series.inputs
+    return {
+        "mean": mean_prediction(series.positions[given], len(series)),
+        "linear": linear_prediction(wanted[given], series.positions[given], wanted),
+        "linear_few": linear_prediction(wanted[used], series.positions[used], wanted),
+    }
+
+
+def without_friction(parameters: Parameters, config: IdentifyConfig) -> Parameters:
+    """The parameters, friction among them only where sliding is modelled."""
+    free = [name for name in parameters.blocks if name != "friction" or config.fit.slide_travel > 0]
+    return parameters.holding(free)
+
+
+def run(config: IdentifyConfig, folder: Path, say: Say) -> tuple[dict[str, float], str]:
+    """Fits, compares and writes the run's folder; returns the metrics and the report.
+
+    Raises:
+        ConfigError: A setting has no meaning.
+        DataError: The recording cannot be read or used.
+    """
+    started = time.perf_counter()
+    if config.threads is not None:
+        torch.set_num_threads(config.threads)
+    series = settings.read(config)
+    layout = settings.layout(config, series)
+    parameters = without_friction(settings.parameters(config, layout), config)
+    if not len(parameters):
+        raise ConfigError("blocks: every spread is zero, so there is nothing to fit")
+    parts = split(series.groups, config.split.by, config.split.folds, config.split.fold)
+    used = thinned(parts.training, config.fit.samples)
+    drive = series.drive(config.fit.history, config.fit.slide_travel)
+    arm, geometry = TendonArm(layout), TendonArm(layout, kinematic=True)
+    geometric = parameters.holding([name for name in config.fit.geometric if name in parameters.blocks])
+
+    task = Task(series, drive, used, config, say)
+    predictions = compare(series, parts, used)
+    predictions["pcc_nominal"] = geometry.predict(drive, geometric.values(geometric.nominal()))
+    say("PCC geometry")
+    predictions["pcc_identified"] = identified(task, geometry, geometric).prediction
+    say("PCC geometry, online")
+    seen = thinned(torch.arange(len(series)), config.fit.online_samples)
+    online, _ = adapt(
+        geometry, geometric, drive.rows(seen), series.positions[seen], config.fit.online_noise, config.fit.online_walk
+    )
+    predictions["pcc_online"] = torch.full_like(series.positions, torch.nan).index_copy(0, seen, online)
+    say("the arm")
+    model = identified(task, arm, parameters)
+    predictions["arm_identified"] = model.prediction
+    spread = halves(task, arm, model)
+
+    values = parameters.values(model.fit.z)
+    length = 1e3 * float(config_length(parameters))
+    found = intervals(parameters, model.fit)
+    unknown = unknown_directions(parameters, model.fit)
+    information = torch.linalg.eigvalsh(model.fit.information)
+    metrics = _metrics(series, parts, predictions, length)
+    metrics |= {
+        "training_samples_linear": len(parts.training),
+        "training_samples_fit": len(used),
+        "validation_samples": len(parts.validation),
+        "arm_length_mm": length,
+        "linear_over_arm_ratio": metrics["linear_tip_rmse_mm"] / metrics["arm_identified_tip_rmse_mm"],
+        "noise_mm": 1e3 * model.fit.noise,
+        "samples_per_independent_one": model.fit.correlation,
+        "interval_disagreement": spread,
+        "information_largest": float(information[-1]),
+        "information_least": max(float(information[0]), 0.0),
+        "unknown_directions": len(unknown),
+        "wall_s": time.perf_counter() - started,
+    }
+    text = report_text(config.name, metrics, list(predictions), found, unknown)
+    write_atomically(folder / "table.txt", text + "\n")
+    write_json(folder / "parameters.json", {"parameters": [_plain(entry, spread) for entry in found]})
+    if config.figures:
+        outcome = Outcome(series.positions, predictions, parts.validation, arm.rest(drive, values), found)
+        save_figures(identification_figures(outcome, length, config.name), folder / "figures")
+    held = torch.zeros(len(series), dtype=torch.bool).index_fill(0, parts.validation, True)
+    arrays = {"time": series.times, "inputs": series.inputs, "measured": series.positions, "held_back": held}
+    RunFolder(folder).write(metrics, arrays | predictions, 0)
+    return metrics, text
+
+
+def config_length(parameters: Parameters) -> Tensor:
+    """The arm's length as built, m: that of percentages."""
+    return parameters.blocks["rest_length"].nominal.sum()
+
+
+def _plain(entry: Interval, disagreed: float) -> dict[str, object]:
+    return entry._asdict() | {"halves_differ_by_deviations": disagreed}
+
+
+def _metrics(series: Series, parts: Split, predictions: dict[str, Tensor], length: float) -> dict[str, float]:
+    """Errors of every model: of the tip on what was held back and on what was not, and of the other bodies."""
+    found: dict[str, float] = {}
+    for name, prediction in predictions.items():
+        known = prediction.isfinite().flatten(1).all(-1)
+        held, given = (index[known[index]] for index in (parts.validation, parts.training))
+        tip = error(series.positions[held, -1], prediction[held, -1])
+        found |= {
+            f"{name}_tip_rmse_mm": tip,
+            f"{name}_tip_rmse_percent": 100.0 * tip / length,
+            f"{name}_training_tip_rmse_mm": error(series.positions[given, -1], prediction[given, -1]),
+        }
+        for k in range(series.positions.shape[1] - 1):
+            found[f"{name}_body_{k + 1}_rmse_mm"] = error(series.positions[held, k], prediction[held, k])
+    return found

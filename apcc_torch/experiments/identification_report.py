@@ -1,0 +1,56 @@
+"""The report of an identification in words and tables."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from apcc_torch.identification.intervals import Direction, Interval
+
+MODELS = {
+    "mean": "constant mean",
+    "linear": "linear regression, all training samples",
+    "linear_few": "linear regression, the fit's samples",
+    "pcc_nominal": "PCC, geometry as built",
+    "pcc_identified": "PCC, geometry identified",
+    "pcc_online": "PCC, geometry adapted online",
+    "arm_identified": "arm identified (tendons, stiffness, weight)",
+}
+"""What each model is."""
+
+
+def report_text(
+    name: str,
+    metrics: Mapping[str, float],
+    models: Sequence[str],
+    found: Sequence[Interval],
+    unknown: Sequence[Direction],
+) -> str:
+    """The models beside each other, the parameters, and what the recording cannot tell."""
+    lines = [
+        f"{name}: {metrics['validation_samples']:.0f} samples held back, {metrics['training_samples_linear']:.0f} for "
+        f"training, of which the arm was fitted to {metrics['training_samples_fit']:.0f}",
+        "",
+        f"{'tip error, root mean square':<46} {'held back':>20} {'training':>10}",
+    ]
+    for model in models:
+        tip, share = metrics[f"{model}_tip_rmse_mm"], metrics[f"{model}_tip_rmse_percent"]
+        train = metrics[f"{model}_training_tip_rmse_mm"]
+        lines.append(f"{MODELS[model]:<46} {tip:>8.2f} mm {share:>6.2f} % {train:>7.2f} mm")
+    lines += [
+        "",
+        f"linear regression's error over the arm's: {metrics['linear_over_arm_ratio']:.2f}",
+        f"{metrics['samples_per_independent_one']:.1f} neighbouring samples count as one; two halves of the samples "
+        f"give parameters {metrics['interval_disagreement']:.2g} standard deviations apart",
+        "",
+        f"{'parameter':<34} {'nominal':>11} {'fitted':>11} {'95 % from':>11} {'to':>11} {'unit':<7} learned",
+    ]
+    lines += [
+        f"{p.name:<34} {p.nominal:>11.5g} {p.value:>11.5g} {p.low:>11.5g} {p.high:>11.5g} {p.unit:<7} "
+        f"{100 * p.learned:>5.0f} %"
+        for p in found
+    ]
+    lines += ["", f"{len(unknown)} combinations are known no better than before the fit; the least known:"]
+    for direction in unknown[:6]:
+        parts = "  ".join(f"{weight:+.2f} {part}" for part, weight in direction.parts)
+        lines.append(f"  information {direction.information:.2g}: {parts}")
+    return "\n".join(lines)

@@ -1,0 +1,171 @@
+"""Nonlinear least squares with a belief before the fit: Levenberg-Marquardt over standard scores, and what it knows."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+from torch.func import jacfwd
+
+from apcc_torch.errors import DataError
+from apcc_torch.identification.parameters import Parameters, Values
+from apcc_torch.identification.tendon_arm import Drive, TendonArm
+
+_ROBUST = 3.0
+"""Residuals beyond so many times their size are weighed down (Huber)."""
+
+
+class Fit(NamedTuple):
+    """The most probable parameters and what the data say about them.
+
+    z: (P,) standard scores.
+    information: (P, P) of the data alone, in z; the belief before the fit adds the identity.
+    noise: Root of the mean square of one coordinate's residual, m.
+    correlation: Number of neighbouring samples that are worth one independent sample.
+    steps: Steps taken.
+    """
+
+    z: Tensor
+    information: Tensor
+    noise: float
+    correlation: float
+    steps: int
+
+    @property
+    def covariance(self) -> Tensor:
+        """Of z after the fit (P, P)."""
+        return torch.linalg.inv(self.information + torch.eye(len(self.z), dtype=self.z.dtype))
+
+
+def correlation_length(residual: Tensor) -> float:
+    """Number of samples in a row that are worth one independent sample: 1 + 2 sum of autocorrelations, at least 1.
+
+    The sum ends where the autocorrelation first falls below zero (Geyer's rule in its simplest form).
+
+    Args:
+        residual: (N, d) in the order of time.
+    """
+    centred = residual - residual.mean(0)
+    power = float((centred * centred).sum())
+    total = 1.0
+    for lag in range(1, len(residual) // 2):
+        rho = float((centred[lag:] * centred[:-lag]).sum()) / power if power > 0 else 0.0
+        if rho <= 2.0 / math.sqrt(residual.numel()):
+            break
+        total += 2.0 * rho
+    return total
+
+
+def fit(
+    arm: TendonArm,
+    parameters: Parameters,
+    drive: Drive,
+    positions: Tensor,
+    z: Tensor | None = None,
+    steps: int = 40,
+    rounds: int = 3,
+    progress: Callable[[str], None] | None = None,
+) -> Fit:
+    """Fits an arm's parameters to measured positions.
+
+    Maximizes the posterior: residuals weigh as independent normal noise of the size that they turn out to have, less
+    what neighbouring samples repeat; a few outliers are weighed down. The size is estimated anew in every round.
+
+    Args:
+        arm: The model.
+        parameters: What to fit.
+        drive: What drove the arm at N moments, in the order of time.
+        positions: (N, k, 3) where its bodies were, m.
+        z: (P,) where to begin; None: nominal values.
+        steps: Most steps a round.
+        rounds: How often the residuals' size is estimated.
+        progress: Called with one line a round.
+
+    Raises:
+        DataError: The model has no equilibrium where it begins.
+    """
+    z = parameters.nominal() if z is None else z
+    problem = _Problem(arm, parameters, drive, positions)
+    residual, _ = problem.residual(z)
+    if not bool(residual.isfinite().all()):
+        raise DataError("the model finds no equilibrium at its first parameters; check tendons and stiffness")
+    noise, correlation, taken = _size(residual), correlation_length(residual.flatten(1)), 0
+    for k in range(rounds):
+        z, count = _descend(problem, z, noise * math.sqrt(correlation), steps)
+        residual, _ = problem.residual(z)
+        noise, correlation, taken = _size(residual), correlation_length(residual.flatten(1)), taken + count
+        if progress is not None:
+            progress(f"round {k + 1}: {1e3 * noise * math.sqrt(3.0):.3g} mm after {count} steps")
+    J, weight = problem.jacobian(z, noise * math.sqrt(correlation))
+    return Fit(z, J.mT @ (weight.unsqueeze(-1) * J), noise, correlation, taken)
+
+
+def _size(residual: Tensor) -> float:
+    """Root of the mean square of a coordinate."""
+    return float(residual.square().mean().sqrt())
+
+
+class _Problem:
+    """Residuals of a fit, their Jacobian, and the equilibria found so far."""
+
+    def __init__(self, arm: TendonArm, parameters: Parameters, drive: Drive, positions: Tensor) -> None:
+        self.arm, self.parameters, self.drive, self.measured = arm, parameters, drive, positions
+        self.q: Tensor | None = None
+
+    def residual(self, z: Tensor) -> tuple[Tensor, Tensor]:
+        """Measured less predicted positions (N, k, 3), and the equilibria."""
+        values = self.parameters.values(z)
+        q = self.arm.rest(self.drive, values, self.q)
+        return self.measured - self.arm.bodies(q, values), q
+
+    def jacobian(self, z: Tensor, size: float) -> tuple[Tensor, Tensor]:
+        """d(predicted)/dz over `size` (3 k N, P), and the robust weight of each row."""
+        residual, q = self.residual(z)
+        self.q = q
+
+        def predicted(at: Tensor) -> Tensor:
+            values: Values = self.parameters.values(at)
+            return self.arm.positions(self.drive, values, q)
+
+        J = jacfwd(predicted)(z).flatten(0, 2) / size
+        return J, _weights(residual).flatten()
+
+
+def _weights(residual: Tensor) -> Tensor:
+    """Huber's weights (N, k, 3) by the length of each body's residual."""
+    length = torch.linalg.vector_norm(residual, dim=-1, keepdim=True)
+    limit = _ROBUST * length.square().mean().sqrt()
+    return (limit / length.clamp(min=1e-300)).clamp(max=1.0).expand_as(residual)
+
+
+def _descend(problem: _Problem, z: Tensor, size: float, steps: int) -> tuple[Tensor, int]:
+    """Levenberg-Marquardt on half the squared residuals over size^2 and half the squared scores."""
+
+    def cost(at: Tensor, weight: Tensor) -> float:
+        residual, _ = problem.residual(at)
+        value = 0.5 * float((weight * (residual.flatten() / size).square()).sum() + at.square().sum())
+        return value if math.isfinite(value) else math.inf
+
+    damping, taken = 1e-2, 0
+    eye = torch.eye(len(z), dtype=z.dtype)
+    while taken < steps:
+        J, weight = problem.jacobian(z, size)
+        residual, _ = problem.residual(z)
+        H = J.mT @ (weight.unsqueeze(-1) * J) + eye
+        gradient = J.mT @ (weight * residual.flatten() / size) - z
+        now = cost(z, weight)
+        for _ in range(12):
+            step = torch.linalg.solve(H + damping * torch.diag(H.diagonal()), gradient)
+            there = cost(z + step, weight)
+            if there < now:
+                break
+            damping *= 5.0
+        else:
+            return z, taken
+        z, damping, taken = z + step, max(0.2 * damping, 1e-9), taken + 1
+        if now - there < 1e-4 * now:
+            break
+    return z, taken

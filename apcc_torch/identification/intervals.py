@@ -1,0 +1,86 @@
+"""What a fit knows of every parameter, and which combinations it does not know."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+
+from apcc_torch.identification.fit import Fit
+from apcc_torch.identification.parameters import Parameters
+
+NORMAL_95 = 1.959963984540054
+"""Standard deviations either side of the mean that hold 95 % of a normal distribution."""
+
+
+class Interval(NamedTuple):
+    """One fitted parameter.
+
+    name: Such as "offset: tendon 3". unit: Of the next four.
+    nominal: Before the fit. value: After it. low, high: 95 % confidence interval.
+    learned: Share of the variance before the fit that the data removed: 0 nothing was learned, 1 all.
+    """
+
+    name: str
+    unit: str
+    nominal: float
+    value: float
+    low: float
+    high: float
+    learned: float
+
+
+class Direction(NamedTuple):
+    """A combination of parameters that the data say less about than was believed before.
+
+    information: Of the data, along it, over that of the belief: below one.
+    parts: Its largest components: (parameter, weight), the weights' squares summing to one over all parameters.
+    """
+
+    information: float
+    parts: tuple[tuple[str, float], ...]
+
+
+def intervals(parameters: Parameters, fit: Fit) -> list[Interval]:
+    """Every fitted parameter with its 95 % interval; those of positive parameters are never negative."""
+    deviation = fit.covariance.diagonal().clamp(min=0.0).sqrt()
+    ends = [parameters.values(fit.z + side * NORMAL_95 * deviation) for side in (0.0, -1.0, 1.0)]
+    found, index = [], 0
+    for name, block in parameters.blocks.items():
+        for i, label in enumerate(block.labels):
+            if block.spread[i] == 0:
+                continue
+            value, low, high = (float(end[name][i]) for end in ends)
+            learned = 1.0 - float(deviation[index]) ** 2
+            found.append(Interval(f"{name}: {label}", block.unit, float(block.nominal[i]), value, low, high, learned))
+            index += 1
+    return found
+
+
+def unknown_directions(parameters: Parameters, fit: Fit, parts: int = 4) -> list[Direction]:
+    """Combinations that are known no better after the fit than before it, the least known first."""
+    information, vectors = torch.linalg.eigh(fit.information)
+    names = parameters.names
+    found = []
+    for k in (information < 1.0).nonzero()[:, 0].tolist():
+        largest = vectors[:, k].abs().argsort(descending=True)[:parts].tolist()
+        weights = tuple((names[i], float(vectors[i, k])) for i in largest)
+        found.append(Direction(max(float(information[k]), 0.0), weights))
+    return found
+
+
+def disagreement(first: Fit, second: Fit) -> float:
+    """How far two fits to different samples differ, in the standard deviations that their intervals expect.
+
+    Root of the mean square over the combinations that the data know better than the belief before the fit: about one
+    where the intervals are right, more where the model's errors are not the noise they are taken for.
+    """
+    expected = first.covariance + second.covariance
+    both = first.information + second.information
+    values, vectors = torch.linalg.eigh(both)
+    known = vectors[:, values > 2.0]
+    if not known.shape[1]:
+        return 0.0
+    difference = known.mT @ (first.z - second.z)
+    squares = difference @ torch.linalg.solve(known.mT @ expected @ known, difference)
+    return float((squares / len(difference)).sqrt())

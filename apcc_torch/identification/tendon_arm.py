@@ -1,0 +1,295 @@
+"""An arm at rest under elastic tendons that can go slack: from what drives the tendons to where the bodies are.
+
+The equilibrium is K (q - q_rest) + B T(q) = G(q), with the tension of a tendon T = k max(stretch, 0) and its stretch
+the sum of what the actuator pulled, the stretch at the start (pre-tension) and y = B^T q. Capstan friction takes its
+share of T on the way from the motor, by the direction in which the tendon last moved. A time constant lets the arm
+follow its equilibrium with a lag, which is what damping D = time constant times K does to a slow arm.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from apcc_torch.errors import ConfigError
+from apcc_torch.identification.parameters import Values
+from apcc_torch.lie import so3
+from apcc_torch.model.arc import arc_geometry
+from apcc_torch.model.backbone import PCCBackbone
+from apcc_torch.model.friction import tension_share
+from apcc_torch.model.tendons import full_rows
+
+_CORNER = 1e-5
+"""Width of the rounding where a tendon goes slack, m: a tenth of what is read off a servo."""
+_NODES = ((0.1127016653792583, 5 / 18), (0.5, 8 / 18), (0.8872983346207417, 5 / 18))
+"""Gauss points of a section, and their shares of its mass."""
+_STEP = 1e-7
+"""Step of the central differences, rad and m: well inside the corner."""
+_SETTLED = 1e-18
+"""At rest where the unbalanced force would store less than this share of the arm's elastic energy..."""
+_LEAST = 1e-6
+"""...or of this energy, J, where the arm is straight."""
+
+
+@dataclass(frozen=True)
+class Layout:
+    """What is known of an arm for certain.
+
+    Attributes:
+        n_sections: Number of sections n_b.
+        inputs: The input that drives each tendon, from 0, n_a of them.
+        pulls: Tendon length pulled in per unit of its input before any scale is fitted, m, n_a of them; negative
+            where a growing input pays out.
+        ends: The section at whose tip each tendon ends, from 1, n_a of them.
+        bodies: The section at whose tip each measured body sits, from 1, k of them.
+        masses: Mass of each section, kg, n_b of them.
+    """
+
+    n_sections: int
+    inputs: tuple[int, ...]
+    pulls: tuple[float, ...]
+    ends: tuple[int, ...]
+    bodies: tuple[int, ...]
+    masses: tuple[float, ...]
+
+    def __post_init__(self) -> None:
+        n_a = len(self.inputs)
+        if not len(self.pulls) == len(self.ends) == n_a:
+            raise ConfigError(
+                f"tendons: {n_a} inputs, {len(self.pulls)} pulls and {len(self.ends)} ends differ in number"
+            )
+        if len(self.masses) != self.n_sections:
+            raise ConfigError(f"masses must have {self.n_sections} entries, got {len(self.masses)}")
+        for name, sections in (("ends", self.ends), ("bodies", self.bodies)):
+            if not all(1 <= s <= self.n_sections for s in sections):
+                raise ConfigError(f"{name} must be sections from 1 to {self.n_sections}, got {list(sections)}")
+
+    @property
+    def n_inputs(self) -> int:
+        """Number of inputs."""
+        return max(self.inputs) + 1
+
+
+class Drive(NamedTuple):
+    """What drives an arm at N moments.
+
+    history: (N, W, m) inputs, the newest first; W is one where the past does not matter.
+    ages: (N, W) how long ago each was read, s, the first zero.
+    slide: (N, m) the direction each input last moved in, from -1 to 1.
+    """
+
+    history: Tensor
+    ages: Tensor
+    slide: Tensor
+
+    def rows(self, index: Tensor | slice) -> Drive:
+        """Some of the moments."""
+        return Drive(self.history[index], self.ages[index], self.slide[index])
+
+
+class TendonArm:
+    """Predicts the bodies of an arm; `values` are those of the blocks that `blocks` names.
+
+    Args:
+        layout: The arm.
+        kinematic: Take the bends from the tendons' lengths alone, by the pseudo-inverse of B^T, as a PCC model does
+            that knows no forces: tendons then push as well as pull.
+        dtype: Of the tensors.
+    """
+
+    def __init__(self, layout: Layout, kinematic: bool = False, dtype: torch.dtype = torch.float64) -> None:
+        self.layout = layout
+        self.kinematic = kinematic
+        n_b = layout.n_sections
+        self.backbone = PCCBackbone(n_b, torch.eye(3, dtype=dtype))
+        self.fractions = torch.tensor([[float(s < end) for end in layout.ends] for s in range(n_b)], dtype=dtype)
+        self.pulls = torch.tensor(layout.pulls, dtype=dtype)
+        self.masses = torch.tensor(layout.masses, dtype=dtype)
+        points, weights = zip(*_NODES, strict=True)
+        self._nodes, self._weights = torch.tensor(points, dtype=dtype), torch.tensor(weights, dtype=dtype)
+
+    def matrix(self, values: Values) -> Tensor:
+        """B (3 n_b, n_a)."""
+        rows = full_rows(values["angle"], values["offset"])
+        return (self.fractions.unsqueeze(-2) * rows).flatten(-3, -2)
+
+    def pulled(self, drive: Drive, values: Values) -> Tensor:
+        """Length by which each tendon is pulled in at its motor (N, n_a), m, with the stretch it started with."""
+        edges = torch.exp(-drive.ages / values["time_constant"])
+        # What an input read that long ago still weighs in a first-order lag; the oldest takes all before it.
+        weights = edges - torch.nn.functional.pad(edges[:, 1:], (0, 1))
+        inputs = (weights.unsqueeze(-1) * drive.history).sum(-2)
+        index = list(self.layout.inputs)
+        return inputs[:, index] * self.pulls * values["input_scale"][index] + values["pre_stretch"]
+
+    def stiffness(self, values: Values) -> Tensor:
+        """Diagonal of K (3 n_b,): N m/rad and N/m, of sections in series with a material's EI and EA."""
+        bending = values["bending_stiffness"] / values["rest_length"]
+        axial = values["axial_stiffness"] / values["rest_length"]
+        return torch.stack((bending, bending, axial), dim=-1).flatten()
+
+    def balance(self, q: Tensor, pulled: Tensor, slide: Tensor, values: Values) -> Tensor:
+        """Unbalanced generalized force (N, 3 n_b): zero at rest."""
+        B = self.matrix(values)
+        stretch = pulled + q @ B
+        tension = 0.5 * values["tendon_stiffness"] * (stretch + torch.sqrt(stretch * stretch + _CORNER * _CORNER))
+        rest = torch.nn.functional.pad(values["rest_bend"].unflatten(-1, (-1, 2)), (0, 1)).flatten(-2)
+        elastic = self.stiffness(values) * (q - rest)
+        share = tension_share(self.fractions, q, values["friction"] * slide)
+        blocks = B.unflatten(0, (-1, 3)) * share.unsqueeze(-2)
+        return elastic + (blocks * tension[:, None, None, :]).sum(-1).flatten(-2) - self.weight(q, values)
+
+    def weight(self, q: Tensor, values: Values) -> Tensor:
+        """Generalized force of the arm's own weight (N, 3 n_b): the mass of a section is spread over its length."""
+        down = so3.exp(values["base_rotation"]).mT @ values["gravity"]
+        chain = self.backbone.chain(q, values["rest_length"])
+        local = (chain.before.mT @ down).unsqueeze(-2)  # (N, n_b, 1, 3), gravity in the axes of each section's base
+        x = self._nodes.unsqueeze(-1)
+        arcs = arc_geometry(chain.x.unsqueeze(-1) * self._nodes, chain.y.unsqueeze(-1) * self._nodes)
+        share = self._weights * self.masses.unsqueeze(-1)  # (n_b, nodes)
+        length = chain.length[..., None, None]
+        # What a section's own bend and length do to its own mass, ...
+        bend = length * (x * x) * (local.unsqueeze(-2) @ arcs.bend).squeeze(-2)
+        stretch = x * (local * arcs.chord).sum(-1, keepdim=True)
+        own = (share.unsqueeze(-1) * torch.cat((bend, stretch), dim=-1)).sum(-2)
+        # ... and to the mass beyond it, which they turn and carry as one body.
+        starts = torch.nn.functional.pad(chain.ends[..., :-1, :], (0, 0, 1, 0))
+        points = starts.unsqueeze(-2) + length * x * (arcs.chord @ chain.before.mT)
+        moments = (share.unsqueeze(-1) * points).sum(-2)
+        beyond = moments.flip(-2).cumsum(-2).flip(-2) - moments
+        mass = (self.masses.flip(0).cumsum(0).flip(0) - self.masses).unsqueeze(-1)
+        lever = torch.linalg.cross(beyond - mass * chain.ends, down.expand_as(beyond), dim=-1)
+        turned = ((chain.before @ chain.arcs.spin).mT @ lever.unsqueeze(-1)).squeeze(-1)
+        carried = mass * (
+            local @ torch.cat((chain.length[..., None, None] * chain.arcs.bend, chain.arcs.columns[..., 4:]), -1)
+        ).squeeze(-2)
+        return (own + carried + torch.nn.functional.pad(turned, (0, 1))).flatten(-2)
+
+    def slide(self, drive: Drive) -> Tensor:
+        """Direction in which each tendon last moved (N, n_a): +1 pulled in, -1 paid out."""
+        return drive.slide[:, list(self.layout.inputs)] * torch.sign(self.pulls)
+
+    def slope(self, q: Tensor, pulled: Tensor, slide: Tensor, values: Values) -> Tensor:
+        """Derivative (N, n, n) of `balance` by q, from central differences; carries no gradient.
+
+        Its error, some 1e-9 of the stiffness, is far below what Newton's method or an interval can tell.
+        """
+        with torch.no_grad():
+            n = q.shape[-1]
+            steps = _STEP * torch.eye(n, dtype=q.dtype, device=q.device)
+            moved = torch.stack((q.unsqueeze(-2) + steps, q.unsqueeze(-2) - steps)).flatten(0, -2)
+            many = (2, len(q), n)
+            pulled, slide = (v.unsqueeze(-2).expand(*many, -1).flatten(0, -2) for v in (pulled, slide))
+            ahead, behind = self.balance(moved, pulled, slide, values).unflatten(0, many)
+            return ((ahead - behind) / (2.0 * _STEP)).mT
+
+    def bends(self, pulled: Tensor, values: Values) -> Tensor:
+        """q (N, 3 n_b) of the kinematic model: the bends that best agree with all tendons' lengths, no elongation."""
+        bending = self.matrix(values).unflatten(0, (-1, 3))[:, :2].flatten(0, 1)
+        q = -pulled @ torch.linalg.pinv(bending)
+        return torch.nn.functional.pad(q.unflatten(-1, (-1, 2)), (0, 1)).flatten(-2)
+
+    def rest(self, drive: Drive, values: Values, q: Tensor | None = None, iterations: int = 60) -> Tensor:
+        """Equilibrium q (N, 3 n_b), without gradient; a row that does not converge is NaN.
+
+        Args:
+            drive: What drives the arm.
+            values: Of the blocks.
+            q: First guess; None is the straight arm.
+            iterations: Most steps of Newton's method.
+        """
+        with torch.no_grad():
+            pulled, slide = self.pulled(drive, values), self.slide(drive)
+            if self.kinematic:
+                return self.bends(pulled, values)
+            K = self.stiffness(values)
+            if q is None:
+                q = torch.zeros(len(pulled), len(K), dtype=pulled.dtype)
+            q = torch.where(q.isfinite(), q, 0.0)
+            left = torch.arange(len(q))
+            scale = torch.ones(len(q), dtype=q.dtype)
+            for _ in range(iterations):
+                at, pull, way = q[left], pulled[left], slide[left]
+                force = self.balance(at, pull, way, values)
+                merit = _energy(force, K)
+                open_rows = ~(merit <= _SETTLED * _energy(K * at, K).clamp(min=_LEAST))
+                left, at, pull, way = left[open_rows], at[open_rows], pull[open_rows], way[open_rows]
+                if not len(left):
+                    break
+                slope = self.slope(at, pull, way, values)
+                step = torch.linalg.solve_ex(slope, -force[open_rows].unsqueeze(-1))[0].squeeze(-1)
+                # No section turns by more than a radian in one step.
+                largest = step.unflatten(-1, (-1, 3))[..., :2].abs().amax((-2, -1))
+                trial = at + step * (scale[left] / largest.clamp(min=1.0)).unsqueeze(-1)
+                lower = _energy(self.balance(trial, pull, way, values), K) < merit[open_rows]
+                q = q.index_put((left,), torch.where(lower.unsqueeze(-1), trial, at))
+                scale = scale.index_put(
+                    (left,), torch.where(lower, (2.0 * scale[left]).clamp(max=1.0), 0.4 * scale[left])
+                )
+            return q.index_fill(0, left, torch.nan)
+
+    def positions(self, drive: Drive, values: Values, q: Tensor) -> Tensor:
+        """Where the bodies are (N, k, 3), m, recording frame, given the equilibrium; differentiable in the values.
+
+        Args:
+            drive: What drives the arm.
+            values: Of the blocks.
+            q: (N, 3 n_b) the equilibrium at these values, from `rest`.
+        """
+        pulled = self.pulled(drive, values)
+        if self.kinematic:
+            q = self.bends(pulled, values)
+        else:
+            slide, fixed = self.slide(drive), q
+            held = {name: value.detach() for name, value in values.items()}
+            slope = self.slope(fixed, pulled.detach(), slide, held)
+            # At the equilibrium this step is zero; its derivative is that of the implicit function.
+            unbalanced = self.balance(fixed, pulled, slide, values)
+            q = fixed - torch.linalg.solve_ex(slope, unbalanced.unsqueeze(-1))[0].squeeze(-1)
+        return self.bodies(q, values)
+
+    def bodies(self, q: Tensor, values: Values) -> Tensor:
+        """Positions (N, k, 3) of the bodies of an arm in the configuration q (N, 3 n_b), m, recording frame."""
+        chain = self.backbone.chain(q, values["rest_length"])
+        turns = torch.cat((chain.before[:, 1:], chain.rotation.unsqueeze(-3)), dim=-3)
+        index = [s - 1 for s in self.layout.bodies]
+        mounts = values["mount"].unflatten(-1, (-1, 3)).unsqueeze(-1)
+        local = chain.ends[:, index] + (turns[:, index] @ mounts).squeeze(-1)
+        return local @ so3.exp(values["base_rotation"]).mT + values["base_position"]
+
+    def predict(self, drive: Drive, values: Values) -> Tensor:
+        """Where the bodies are (N, k, 3), m, recording frame; NaN where there is no equilibrium."""
+        return self.bodies(self.rest(drive, values), values)
+
+
+def _energy(force: Tensor, K: Tensor) -> Tensor:
+    """Elastic energy (N,) that generalized forces (N, n) would store, J, twice."""
+    return (force * force / K).sum(-1)
+
+
+def block_sizes(layout: Layout) -> dict[str, tuple[str, bool, Sequence[str]]]:
+    """Unit, whether logarithmic, and labels of every block that a `TendonArm` needs."""
+    sections = [f"section {s + 1}" for s in range(layout.n_sections)]
+    tendons = [f"tendon {t + 1}" for t in range(len(layout.inputs))]
+    axes = ["x", "y", "z"]
+    return {
+        "rest_length": ("m", True, sections),
+        "angle": ("rad", False, tendons),
+        "offset": ("m", True, tendons),
+        "input_scale": ("", True, [f"input {i + 1}" for i in range(layout.n_inputs)]),
+        "pre_stretch": ("m", False, tendons),
+        "tendon_stiffness": ("N/m", True, tendons),
+        "bending_stiffness": ("N m^2", True, sections),
+        "axial_stiffness": ("N", True, sections),
+        "rest_bend": ("rad", False, [f"{s} {axis}" for s in sections for axis in axes[:2]]),
+        "friction": ("", True, ["coefficient"]),
+        "time_constant": ("s", True, ["arm"]),
+        "gravity": ("m/s^2", False, axes),
+        "base_position": ("m", False, axes),
+        "base_rotation": ("rad", False, axes),
+        "mount": ("m", False, [f"body {b + 1} {axis}" for b in range(len(layout.bodies)) for axis in axes]),
+    }

@@ -1,0 +1,109 @@
+"""python -m apcc_torch.identify as a user runs it, and what it reaches on real recordings."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from hydra import compose, initialize_config_dir
+from hydra.core.config_store import ConfigStore
+
+from apcc_torch.conf_path import conf_path
+from apcc_torch.configs import identify as settings
+from apcc_torch.configs.identify import IdentifyConfig
+from apcc_torch.configs.typed import typed
+from apcc_torch.experiments.identification import Task, compare, error, identified, without_friction
+from apcc_torch.identification.split import split, thinned
+from apcc_torch.identification.tendon_arm import TendonArm
+from commands import environment
+from identified_arms import FITTED, parameters, write_recording
+
+ConfigStore.instance().store(name="identify_schema", node=IdentifyConfig)
+
+
+def _identify(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "apcc_torch.identify", *arguments]
+    return subprocess.run(
+        command, cwd=folder, env=environment(), capture_output=True, text=True, check=False, timeout=300
+    )
+
+
+def test_a_recording_of_ones_own_from_the_command_line(tmp_path: Path) -> None:
+    path = write_recording(tmp_path)
+    done = _identify(tmp_path, "--config-dir", str(tmp_path), "arm=small", f"data={path}", "hydra.run.dir=out")
+    assert done.returncode == 0, done.stderr
+    out = tmp_path / "out"
+    metrics = json.loads((out / "metrics.json").read_text())
+    # White noise of 0.1 mm a coordinate leaves 0.17 mm of distance.
+    assert metrics["arm_identified_tip_rmse_mm"] == pytest.approx(0.173, rel=0.25)
+    assert metrics["linear_tip_rmse_mm"] > 20 * metrics["arm_identified_tip_rmse_mm"]
+    assert metrics["arm_length_mm"] == pytest.approx(200.0)
+    assert metrics["interval_disagreement"] < 2.0
+
+    arrays = np.load(out / "trajectory.npz")
+    assert arrays["held_back"].sum() == metrics["validation_samples"] == 40
+    assert metrics["training_samples_linear"] == 120 and metrics["training_samples_fit"] == 100
+
+    entries = {p["name"]: p for p in json.loads((out / "parameters.json").read_text())["parameters"]}
+    truth = parameters(**FITTED)
+    values = truth.values(torch.linspace(-0.8, 0.9, len(truth), dtype=torch.float64))
+    inside = [
+        entries[f"{name}: {label}"]["low"] <= float(values[name][i]) <= entries[f"{name}: {label}"]["high"]
+        for name in FITTED
+        for i, label in enumerate(truth.blocks[name].labels)
+    ]
+    assert sum(inside) >= len(inside) - 3
+    table = (out / "table.txt").read_text()
+    assert "linear regression, all training samples" in table and "known no better" in table
+    assert {p.name for p in (out / "figures").iterdir()} == {
+        *("models.png", "prediction.png", "residual.png", "parameters.png")
+    }
+
+
+def test_wrong_files_end_in_one_sentence(tmp_path: Path) -> None:
+    done = _identify(tmp_path, "data=nothing.csv")
+    assert done.returncode == 2
+    assert done.stderr.strip() == "nothing.csv: there is no such file or folder"
+    bad = tmp_path / "bad.csv"
+    bad.write_text("timestamp,servo_1_mm,tip_x\n1,2,3\n")
+    done = _identify(tmp_path, f"data={bad}", "hydra.run.dir=out")
+    assert done.returncode == 2
+    assert "column 'pattern_label': the column is missing" in done.stdout + done.stderr
+    assert "Traceback" not in done.stdout + done.stderr
+
+
+def _errors(data: Path, arm: str, samples: int) -> tuple[dict[str, float], int, int]:
+    """Tip errors on what was held back, mm, the number of samples of the fit and of linear regression."""
+    with initialize_config_dir(conf_path(), version_base="1.3"):
+        overrides = [f"arm={arm}", f"data={data}", f"fit.samples={samples}", "fit.rounds=2"]
+        config = typed(compose("identify", overrides), IdentifyConfig)
+    series = settings.read(config)
+    layout = settings.layout(config, series)
+    parts = split(series.groups, config.split.by, config.split.folds, config.split.fold)
+    used = thinned(parts.training, samples)
+    assert not set(used.tolist()) & set(parts.validation.tolist())
+    drive = series.drive(config.fit.history, config.fit.slide_travel)
+    task = Task(series, drive, used, config, lambda line: None)
+    model = identified(task, TendonArm(layout), without_friction(settings.parameters(config, layout), config))
+    predictions = compare(series, parts, used) | {"arm": model.prediction}
+    held = parts.validation
+    found = {name: error(series.positions[held, -1], p[held, -1]) for name, p in predictions.items()}
+    return found, len(used), len(parts.training)
+
+
+def test_real_nine_tendon_arm_is_three_times_better_than_linear_regression(shared_data: Path) -> None:
+    found, _, _ = _errors(shared_data / "ftdcr_v6" / "train.csv", "ftdcr_v6", samples=270)
+    assert found["linear"] >= 3.0 * found["arm"]
+    assert found["mean"] > found["linear"]
+
+
+def test_real_trunk_beats_linear_regression_with_a_tenth_of_its_samples(shared_data: Path) -> None:
+    found, used, trained = _errors(shared_data / "trunk", "trunk", samples=200)
+    assert used < trained / 10
+    assert found["arm"] < found["linear"]
+    assert found["arm"] < found["linear_few"]
