@@ -12,7 +12,7 @@ from apcc_torch.configs.build_devices import Devices, real_devices
 from apcc_torch.configs.realtime import RealtimeConfig, model_settings
 from apcc_torch.errors import ConfigError
 from apcc_torch.hardware.clock import Clock, MonotonicClock, VirtualClock
-from apcc_torch.hardware.control import Control
+from apcc_torch.hardware.control import Control, blank_step
 from apcc_torch.hardware.dry_run import DryRunActuator
 from apcc_torch.hardware.guards import GuardSettings
 from apcc_torch.hardware.interfaces import Array
@@ -28,6 +28,7 @@ from apcc_torch.hardware.simulated.process import ProcessWorld
 from apcc_torch.hardware.simulated.sensor import SimulatedSensor
 from apcc_torch.hardware.simulated.world import LockstepWorld, World
 from apcc_torch.hardware.stops import endings
+from apcc_torch.native.compiled import compiled
 from apcc_torch.simulation.gating import SensorGate
 from apcc_torch.simulation.trajectory import SetPoint, Trajectory
 
@@ -81,6 +82,7 @@ class RealtimeBuilder:
             s.resolution,
             self.config.plant.settle,
             self.config.seed,
+            self.config.compile,
         )
         routing = build.routing(self.config.plant.layout)
         return SimulatedArm(build.plant(self.payload()), routing, build.pose_sensors(), build.sensors_at(), settings)
@@ -112,9 +114,13 @@ class RealtimeBuilder:
 
     def control(self) -> Control:
         """The controller on its trajectory, or looking on while the tendons go their own way."""
-        if choice("experiment.kind", self.config.experiment.kind, EXPERIMENTS) == "tendons":
-            return RampControl(self.model.controller(adaptive=False), self.model.first_estimate(), self.ramp())
-        return Control(self.model.controller(), self.trajectory(), self.model.first_estimate())
+        pi_hat = self.model.first_estimate()
+        looks_on = choice("experiment.kind", self.config.experiment.kind, EXPERIMENTS) == "tendons"
+        controller = self.model.controller(adaptive=False if looks_on else None)
+        step = compiled(controller, blank_step(controller, pi_hat), self.config.compile)
+        if looks_on:
+            return RampControl(controller, pi_hat, self.ramp(), step)
+        return Control(controller, self.trajectory(), pi_hat, step)
 
     def ramp(self) -> Ramp:
         """Where the tendons go in an experiment of kind `tendons`.

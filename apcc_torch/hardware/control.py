@@ -20,6 +20,21 @@ Step = Callable[[ControllerState, Measurement, Target], tuple[ControllerState, C
 """One control step: the controller itself, or a compiled form of it."""
 
 
+def blank_step(controller: APCCController, pi_hat: Tensor) -> tuple[ControllerState, Measurement, Target]:
+    """Arguments of the form that every step of a loop has: what a compiler needs to see.
+
+    Args:
+        controller: The controller.
+        pi_hat: (n_b,) m.
+    """
+    q, zero = torch.zeros(controller.backbone.n, dtype=pi_hat.dtype), torch.zeros(3, dtype=pi_hat.dtype)
+    time = torch.zeros((), dtype=torch.float64)
+    k = controller.feedback.abscissae.shape[-1]
+    seen = torch.ones(k, dtype=torch.bool)
+    measurement = Measurement(torch.eye(4, dtype=pi_hat.dtype).expand(k, 4, 4), time, seen, seen)
+    return controller.initial_state(q, pi_hat, time), measurement, Target(zero, zero)
+
+
 @dataclass(frozen=True)
 class Decision:
     """One step of the controller.

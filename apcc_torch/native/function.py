@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import logging
 import os
 from typing import Any
 
@@ -11,12 +12,14 @@ from torch import Tensor, nn
 from torch.func import functional_call
 
 from apcc_torch.errors import CompileError, DtypeError, ShapeError, ValueRangeError
-from apcc_torch.native.build import built, cached, compiler, loaded, widest_vector
+from apcc_torch.native.build import built, cache_folder, cached, compiler, loaded, widest_vector
 from apcc_torch.native.fingerprint import fingerprint
 from apcc_torch.native.source import program
 from apcc_torch.native.structure import any_double, described, flattened, rebuilt
 from apcc_torch.native.trace import Leaf, traced
 from apcc_torch.settings import row_tensors
+
+log = logging.getLogger(__name__)
 
 
 class _Rows(nn.Module):
@@ -68,6 +71,7 @@ class NativeFunction:
         self, module: nn.Module, example: tuple[Any, ...], carries: bool = False, threads: int | None = None
     ) -> None:
         self.module = module
+        self._named = type(module).__name__
         self.threads = threads
         self._rows = [tensor for tensor, _ in row_tensors(module).values()]
         with torch.inference_mode():
@@ -101,6 +105,7 @@ class NativeFunction:
             )
             library = cached(name)
             if library is None:
+                log.info("building machine code for %s, once; it is kept in %s", self._named, cache_folder())
                 with torch.inference_mode(False):
                     trace = traced(self._traced, self._example)
                 source = program(trace, lanes, self._dtype, self._carried, os.cpu_count() or 1)

@@ -140,8 +140,9 @@ class Plant(nn.Module):
         steps = round(duration / dt)
         if not steps:
             return straight
-        step = compiled(Resting(self, dt), (self.straight(()),), compile, self.payload.numel(), carries=True)
-        return step(straight, repeats=steps)
+        one = PlantStep(self, dt)
+        step = compiled(one, one.blank(), compile, self.payload.numel(), carries=True)
+        return step(straight, TendonReference(straight.z, straight.z), repeats=steps)
 
     def straight(self, batch: tuple[int, ...]) -> PlantState:
         """Straight arms without motion, tendons at their zero lengths."""
@@ -151,8 +152,8 @@ class Plant(nn.Module):
         return PlantState(ArmState(q, q), z, torch.full(batch, -1, dtype=torch.int64, device=lengths.device))
 
 
-class Resting(nn.Module):
-    """One step of an arm whose tendons hold their zero lengths.
+class PlantStep(nn.Module):
+    """One step of an arm towards a reference of its tendons.
 
     Args:
         plant: The arm.
@@ -164,7 +165,11 @@ class Resting(nn.Module):
         self.plant = plant
         self.dt = dt
 
-    def forward(self, now: PlantState) -> PlantState:
+    def blank(self) -> tuple[PlantState, TendonReference]:
+        """Arguments of the form that one row has: what a compiler needs to see."""
+        now = self.plant.straight(())
+        return now, TendonReference(now.z, now.z)
+
+    def forward(self, now: PlantState, reference: TendonReference) -> PlantState:
         """The arm one step later."""
-        zero = torch.zeros_like(now.z)
-        return self.plant.advance(now, TendonReference(zero, zero), self.dt, 0)
+        return self.plant.advance(now, reference, self.dt, 0)

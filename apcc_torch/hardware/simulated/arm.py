@@ -13,7 +13,8 @@ from apcc_torch.errors import ValueRangeError
 from apcc_torch.hardware.simulated.board import Board, Mode
 from apcc_torch.model.abscissae import decouple
 from apcc_torch.model.tendons import TendonRouting
-from apcc_torch.simulation.plant import Plant, PlantState
+from apcc_torch.native.compiled import Step, compiled
+from apcc_torch.simulation.plant import Plant, PlantState, PlantStep
 from apcc_torch.simulation.sensors import PoseSensors, SensorState
 
 
@@ -24,6 +25,7 @@ class SimulatedSettings:
     step: s, of the plant. frame_rate: Hz, of the sensors. frame_latency: s from measurement to arrival.
     motor_speed: m/s at which a tendon runs to its goal. resolution: m, one encoder tick.
     settle: s that the arm hangs before it is connected. seed: Of the sensors' noise.
+    compile: How the plant is stepped, one of `native.compiled.MODES`.
 
     Raises:
         ValueRangeError: A number is out of range.
@@ -36,6 +38,7 @@ class SimulatedSettings:
     resolution: float = 1.5e-5
     settle: float = 3.0
     seed: int = 0
+    compile: str = "off"
 
     def __post_init__(self) -> None:
         """Checks the numbers."""
@@ -95,7 +98,9 @@ class SimulatedArm:
     def begin(self, time: float, board: Board) -> None:
         """Lets the arm settle on its stand, and puts the first knot and frame at `time`, s."""
         settings = self.settings
-        self.now = self.plant.settled(settings.settle, settings.step)
+        # Here, as compiled code does not travel between processes.
+        self.held, self.dragged = (self._stepped(plant) for plant in (self.plant, self.limp))
+        self.now = self.plant.settled(settings.settle, settings.step, settings.compile)
         self.reference = torch.zeros_like(self.now.z)
         self.rate = torch.zeros_like(self.now.z)
         self.generator = torch.Generator().manual_seed(settings.seed)
@@ -103,6 +108,10 @@ class SimulatedArm:
         self.time = self.next_frame = time
         self._put(board, self._knot())
         self._frames(board, self.now, time)
+
+    def _stepped(self, plant: Plant) -> Step:
+        step = PlantStep(plant, self.settings.step)
+        return compiled(step, step.blank(), self.settings.compile)
 
     def _poses(self, q: Tensor) -> Tensor:
         return self.plant.backbone.pose(q, self.plant.dynamics.lengths, self.X_tilde, self.j)
@@ -129,7 +138,7 @@ class SimulatedArm:
         before = self.now
         if mode is Mode.LIMP:
             still = torch.zeros_like(self.reference)
-            self.now = self.limp.advance(before, TendonReference(still, still), dt, 0)._replace(z=still)
+            self.now = self.dragged(before, TendonReference(still, still))._replace(z=still)
             self.reference = self.plant.lengths(self.now.arm.q)
             self.rate = self.plant.lengths(self.now.arm.qdot)
             knot = self.reference, self.rate, torch.zeros_like(self.rate)
@@ -138,7 +147,7 @@ class SimulatedArm:
             reach = self.settings.motor_speed * dt
             delta = (wanted - self.reference).clamp(-reach, reach)
             self.reference, self.rate = self.reference + delta, delta / dt
-            self.now = self.plant.advance(before, TendonReference(self.reference, self.rate), dt, 0)
+            self.now = self.held(before, TendonReference(self.reference, self.rate))
             knot = self._knot()
         self.time += dt
         board.memory["diverged"] = int(self.now.diverged_at[0] >= 0)
