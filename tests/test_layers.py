@@ -46,6 +46,8 @@ LAYERS: tuple[tuple[str, ...], ...] = (
 RESTRICTED: dict[str, frozenset[str]] = {
     "hydra": frozenset({"benchmark", "identify", "points", "robot", "simulate", "sweep"}),
     "matplotlib": frozenset({"report", "report.__main__"}),
+    "gymnasium": frozenset({"envs"}),
+    "stable_baselines3": frozenset({"envs"}),
 }
 
 LEVEL = {unit: level for level, units in enumerate(LAYERS) for unit in units}

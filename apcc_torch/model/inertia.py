@@ -124,7 +124,7 @@ def moments(bend: Bending, point_masses: Tensor) -> Moments:
     return Moments(mass, *weighted.sum(1).unbind(0), *products.sum(1).unbind(0))
 
 
-def _frames(bend: Bending, base: Tensor) -> Tensor:
+def base_frames(bend: Bending, base: Tensor) -> Tensor:
     """Frames at the section bases: base, base E_1, base E_1 E_2, ... with E the sections' rotations, Eq. (1)."""
     x, y = bend.x, bend.y
     c0, c1, c2 = bend.stumpff.c0[-1], bend.stumpff.c1[-1], bend.stumpff.c2[-1]
@@ -179,7 +179,7 @@ def arm_shape(bend: Bending, base: Tensor, extra: list[Tensor]) -> ArmShape:
         mixed, lb + yy * lb1, y * la1,
         x * beta, y * beta, alpha,
     ]  # fmt: skip
-    frames = _frames(bend, base)
+    frames = base_frames(bend, base)
     stacked = torch.stack(columns + extra).unflatten(0, (-1, 3)).transpose(0, 1)
     world = rotate(frames, stacked)
     advance = length * world[:, 4]

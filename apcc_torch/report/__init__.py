@@ -12,6 +12,7 @@ writes it.
     state_feedback      experiment I on an arm: four estimators of one motion
     overlay             experiment II on an arm: arm and model in a plane, the way to the set-point
     animation           the film of a run
+    arm_scene           an environment's arm, as a picture or in a window
     hero                the picture at the head of the README
 
 Reports on sets of runs:

@@ -1,0 +1,92 @@
+"""What a picture of an arm holds, and what draws it; the drawing itself is `report.arm_scene`'s, which has matplotlib.
+
+Environments and reports do not import each other: the registration names the drawing as it names the environments, by
+a string, and it is loaded when the first picture is asked for.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple, Protocol
+
+import torch
+from gymnasium.envs.registration import load_env_creator
+from numpy.typing import NDArray
+from torch import Tensor
+
+from apcc_torch.errors import ConfigError
+from apcc_torch.model.abscissae import decouple
+from apcc_torch.model.backbone import PCCBackbone
+from apcc_torch.model.tendons import TendonRouting
+
+POINTS = 61
+
+
+class Picture(NamedTuple):
+    """One arm, world frame, m.
+
+    backbone: (P, 3). tendons: (n_a, P, 3), NaN beyond where each ends. sensors: (k, 3).
+    goal: (3,) a point, or (G, 3) a backbone. text: A line over the picture.
+    """
+
+    backbone: Tensor
+    tendons: Tensor
+    sensors: Tensor
+    goal: Tensor
+    text: str
+
+
+class Renderer(Protocol):
+    """Draws pictures."""
+
+    def frame(self, picture: Picture) -> NDArray[Any]:
+        """(H, W, 3) uint8."""
+        ...
+
+    def show(self, picture: Picture) -> None:
+        """Puts the picture into a window."""
+        ...
+
+    def close(self) -> None:
+        """Closes the window."""
+        ...
+
+
+def load_renderer(name: str | None) -> Renderer:
+    """The renderer that "module:class" names.
+
+    Raises:
+        ConfigError: None is named, or what draws is not installed.
+    """
+    if name is None:
+        raise ConfigError('render_mode needs a renderer, e.g. "apcc_torch.report.arm_scene:ArmScene"')
+    try:
+        renderer: Renderer = load_env_creator(name)()  # type: ignore[assignment]
+    except ModuleNotFoundError as error:
+        raise ConfigError(f"rendering needs {error.name}: pip install 'apcc-torch[viz]'") from error
+    return renderer
+
+
+def picture(
+    q: Tensor, lengths: Tensor, base: Tensor, routing: TendonRouting, anchors: Tensor, goal: Tensor, text: str
+) -> Picture:
+    """The picture of one arm.
+
+    Args:
+        q: (3 n) its configuration.
+        lengths: (n,) rest lengths, m.
+        base: (3, 3) arm base to world.
+        routing: Its tendons, for their angles and offsets.
+        anchors: (k,) material abscissae of the racks, where the sensors sit too, m.
+        goal: (3,) or (G, 3) m.
+        text: A line over the picture.
+    """
+    backbone = PCCBackbone(lengths.shape[-1], base)
+    X = torch.linspace(0.0, 1.0, POINTS, dtype=q.dtype, device=q.device) * lengths.sum()
+    T = backbone.pose(q, lengths, *decouple(X, lengths))
+    angle, offset = routing.angles.unsqueeze(-1), routing.offsets.unsqueeze(-1)
+    aside = torch.stack((offset * torch.cos(angle), offset * torch.sin(angle), torch.zeros_like(angle)), dim=-1)
+    tendons = T[:, :3, 3] + (T[:, :3, :3] @ aside.unsqueeze(-1)).squeeze(-1)
+    ends = anchors.repeat_interleave(len(routing.angles) // len(anchors))
+    tendons = torch.where((ends.unsqueeze(-1) + 1e-6 >= X).unsqueeze(-1), tendons, torch.nan)
+    sensors = backbone.pose(q, lengths, *decouple(anchors, lengths))[:, :3, 3]
+    return Picture(T[:, :3, 3], tendons, sensors, goal, text)

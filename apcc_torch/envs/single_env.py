@@ -1,0 +1,74 @@
+"""One arm as a Gymnasium `Env` of numpy arrays: one row of the batch, the same code."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+import gymnasium
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from apcc_torch.envs.vector_env import ArmVectorEnv
+from apcc_torch.errors import ConfigError
+
+Observation = NDArray[np.float32]
+
+
+class ArmEnv(gymnasium.Env[Observation, Observation]):
+    """One row of an `ArmVectorEnv`; the time limit is that of Gymnasium's wrapper.
+
+    Args:
+        render_mode: "rgb_array", "human" for a window, or None.
+        **settings: Those of `ArmVectorEnv`, but num_envs, autoreset_mode and render_mode.
+    """
+
+    metadata: dict[str, Any] = {"render_modes": ["human", "rgb_array"], "render_fps": 25}  # noqa: RUF012
+    vector: ClassVar[type[ArmVectorEnv]]
+
+    def __init__(self, render_mode: str | None = None, **settings: Any) -> None:
+        if render_mode is not None and render_mode not in self.metadata["render_modes"]:
+            raise ConfigError(
+                f"render_mode must be one of {', '.join(self.metadata['render_modes'])}, got {render_mode!r}"
+            )
+        self.render_mode = render_mode
+        self.batch = self.vector(1, autoreset_mode="DISABLED", **settings)
+        self.observation_space = self.batch.single_observation_space
+        self.action_space = self.batch.single_action_space
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Starts a new episode; row 0 of the batch with the same seed."""
+        super().reset(seed=seed)
+        observation, info = self.batch.reset(seed=seed)
+        return observation[0].cpu().numpy(), _plain(info)
+
+    def step(self, action: Observation) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        """One control period."""
+        given = torch.as_tensor(np.asarray(action, dtype=np.float32)).unsqueeze(0)
+        observation, reward, terminated, truncated, info = self.batch.step(given)
+        plain = observation[0].cpu().numpy(), float(reward), bool(terminated), bool(truncated), _plain(info)
+        if self.render_mode == "human":
+            self.render()
+        return plain
+
+    def render(self) -> NDArray[Any] | None:
+        """The picture (H, W, 3) uint8; None where it goes into the window, or without a render mode."""
+        if self.render_mode is None:
+            return None
+        picture = self.batch.picture(0)
+        if self.render_mode == "human":
+            self.batch.drawing().show(picture)
+            return None
+        return self.batch.drawing().frame(picture)
+
+    def close(self) -> None:
+        """Closes the window, if there is one."""
+        self.batch.close()
+
+
+def _plain(info: dict[str, Tensor]) -> dict[str, Any]:
+    """A row's numbers without their dimension."""
+    return {name: value[0].item() for name, value in info.items()}

@@ -1,0 +1,92 @@
+"""An environment's arm as a picture or in a window: backbone, tendons, sensors and goal."""
+
+from __future__ import annotations
+
+from typing import Any, Protocol
+
+import numpy as np
+from matplotlib import pyplot
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.backends.registry import BackendFilter, backend_registry
+from numpy.typing import NDArray
+from torch import Tensor
+
+from apcc_torch.report import style
+from apcc_torch.report.backbone_drawing import draw_base, draw_markers, draw_target
+from apcc_torch.report.space import Box, Space
+from apcc_torch.report.style import values
+
+REACH = Box(np.array((-0.45, -0.45, -0.8)), np.array((0.45, 0.45, 0.02)))
+"""What is shown, m: all that the arm of the environments reaches."""
+
+INCHES, PIXELS_PER_INCH = (5.0, 5.0), 100
+
+
+class Arm(Protocol):
+    """What is drawn, world frame, m: `envs.rendering.Picture` is one."""
+
+    backbone: Tensor
+    tendons: Tensor
+    sensors: Tensor
+    goal: Tensor
+    text: str
+
+
+class ArmScene:
+    """Draws one arm after the other on the same axes."""
+
+    def __init__(self) -> None:
+        self.figure = style.new_figure(*INCHES, constrained=False)
+        self.figure.set_dpi(PIXELS_PER_INCH)
+        self.canvas = FigureCanvasAgg(self.figure)
+        self.space = Space(self.figure.add_axes((0.0, 0.0, 0.96, 0.94)), REACH)
+        draw_base(self.space)
+        self.title = self.figure.text(0.03, 0.955, "", fontsize=11, color=style.INK)
+        self.moving: list[Any] = []
+        self.window: Any = None
+
+    def frame(self, arm: Arm) -> NDArray[Any]:
+        """The picture, (H, W, 3) uint8."""
+        for line in self.moving:
+            line.remove()
+        look = {"color": style.EDGE, "linewidth": 0.9, "zorder": 1.8}
+        self.moving = [self.space.plot(values(tendon), **look) for tendon in arm.tendons]
+        goal = values(arm.goal)
+        if goal.ndim == 1:
+            self.moving.append(draw_target(self.space, goal))
+        else:
+            whole = np.concatenate([np.zeros((1, 3)), goal])
+            look = {"color": style.TARGET, "linewidth": 1.6, "linestyle": ":", "zorder": 3.0}
+            self.moving.append(self.space.plot(whole, marker="o", markersize=5.0, **look))
+        round_ends = {"solid_capstyle": "round"}
+        self.moving.append(
+            self.space.plot(values(arm.backbone), color=style.TRUE, linewidth=5.0, zorder=2.5, **round_ends)
+        )
+        self.moving.append(draw_markers(self.space, values(arm.sensors)))
+        self.title.set_text(arm.text)
+        self.canvas.draw()
+        return np.asarray(self.canvas.buffer_rgba())[..., :3].copy()
+
+    def show(self, arm: Arm) -> None:
+        """Puts the picture into a window of its own, if matplotlib has a backend with windows."""
+        frame = self.frame(arm)
+        if self.window is None:
+            size = (frame.shape[1] / PIXELS_PER_INCH, frame.shape[0] / PIXELS_PER_INCH)
+            self.window = pyplot.figure(figsize=size, dpi=PIXELS_PER_INCH)
+            self.image = self.window.figimage(frame)
+            if pyplot.get_backend().lower() in {name.lower() for name in _interactive()}:
+                self.window.show()
+        self.image.set_data(frame)
+        self.window.canvas.draw_idle()
+        self.window.canvas.flush_events()
+
+    def close(self) -> None:
+        """Closes the window, if there is one."""
+        if self.window is not None:
+            pyplot.close(self.window)
+            self.window = None
+
+
+def _interactive() -> list[str]:
+    """Names of matplotlib's backends that have windows."""
+    return list(backend_registry.list_builtin(BackendFilter.INTERACTIVE))

@@ -1,0 +1,243 @@
+"""Learns apcc/Reach-v0 with PPO on the native batch: `python examples/ppo_reach.py`, a few minutes on two cores.
+
+The arm is the dynamic one, the payload random and not observed. Everything stays in torch: 512 arms step as one batch,
+and the learner is about a hundred lines. At the end the policy is compared with doing nothing and with random actions,
+on episodes that it never saw, and the learning curve is written to docs/images/ppo_reach.png.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+import gymnasium
+import torch
+from torch import Tensor, nn
+
+import apcc_torch.envs
+from apcc_torch.report import style
+
+gymnasium.register_envs(apcc_torch.envs)
+
+GAMMA, LAMBDA, CLIP, ENTROPY, VALUE = 0.96, 0.95, 0.2, 0.0, 0.5
+EPOCHS, MINIBATCHES, LEARNING_RATE = 6, 8, 1e-3
+RATE, EPISODE = 20, 60
+"""The policy acts 20 times a second, over 3 s: the arm answers slowly, and noise at 100 Hz would not move it."""
+LATE = 10
+"""Steps at the end of an episode over which the error that remains is averaged."""
+
+
+class Agent(nn.Module):
+    """A Gaussian policy and a value, on observations scaled by their running mean and spread."""
+
+    mean: Tensor
+    square: Tensor
+    count: Tensor
+
+    def __init__(self, observations: int, actions: int) -> None:
+        super().__init__()
+        self.policy = nn.Sequential(
+            nn.Linear(observations, 64), nn.Tanh(), nn.Linear(64, 64), nn.Tanh(), nn.Linear(64, actions)
+        )
+        self.value = nn.Sequential(
+            nn.Linear(observations, 64), nn.Tanh(), nn.Linear(64, 64), nn.Tanh(), nn.Linear(64, 1)
+        )
+        nn.init.normal_(self.policy[-1].weight, std=0.01)
+        self.log_std = nn.Parameter(torch.full((actions,), -0.5))
+        self.register_buffer("mean", torch.zeros(observations))
+        self.register_buffer("square", torch.ones(observations))
+        self.register_buffer("count", torch.tensor(1e-4))
+
+    def observe(self, observation: Tensor) -> None:
+        """Takes a batch (N, o) into the running mean and mean square."""
+        self.count += len(observation)
+        share = len(observation) / self.count
+        self.mean.lerp_(observation.mean(0), share)
+        self.square.lerp_(observation.square().mean(0), share)
+
+    def scaled(self, observation: Tensor) -> Tensor:
+        """Observations of about unit spread."""
+        spread = (self.square - self.mean.square()).clamp(min=1e-6).sqrt()
+        return ((observation - self.mean) / spread).clamp(-10.0, 10.0)
+
+    def distribution(self, observation: Tensor) -> torch.distributions.Normal:
+        """What actions are drawn from."""
+        return torch.distributions.Normal(self.policy(self.scaled(observation)), self.log_std.exp())
+
+    def worth(self, observation: Tensor) -> Tensor:
+        """Value (...) of observations."""
+        return self.value(self.scaled(observation)).squeeze(-1)
+
+
+class Rollout(NamedTuple):
+    """T steps of N rows, time first."""
+
+    observation: Tensor
+    action: Tensor
+    log_probability: Tensor
+    advantage: Tensor
+    value: Tensor
+
+
+def collect(envs: gymnasium.vector.VectorEnv, agent: Agent, observation: Tensor, steps: int) -> tuple[Rollout, Tensor]:
+    """Steps the batch, and estimates advantages; autoreset is in the same step."""
+    rows: list[tuple[Tensor, ...]] = []
+    with torch.no_grad():
+        for _ in range(steps):
+            agent.observe(observation)
+            policy = agent.distribution(observation)
+            action = policy.sample()
+            later, reward, terminated, truncated, info = envs.step(action)
+            done = terminated | truncated
+            following = torch.where(done.unsqueeze(-1), info["final_obs"], later) if "final_obs" in info else later
+            # A row that ran out of time is not at its end: what it would still have got counts.
+            onward = agent.worth(following) * ~terminated
+            rows.append(
+                # Rewards on the scale of their mean: values are then of the order of one reward, not of an episode.
+                (
+                    observation,
+                    action,
+                    policy.log_prob(action).sum(-1),
+                    agent.worth(observation),
+                    (1.0 - GAMMA) * reward,
+                    onward,
+                    done,
+                )
+            )
+            observation = later
+        seen, action, log_probability, value, reward, onward, done = (
+            torch.stack(column) for column in zip(*rows, strict=True)
+        )
+        advantage, after = torch.zeros_like(value), torch.zeros_like(value[0])
+        for t in reversed(range(steps)):
+            delta = reward[t] + GAMMA * onward[t] - value[t]
+            after = delta + GAMMA * LAMBDA * after * ~done[t]
+            advantage[t] = after
+    return Rollout(seen, action, log_probability, advantage, value), observation
+
+
+def improve(agent: Agent, optimizer: torch.optim.Optimizer, rollout: Rollout) -> None:
+    """Some epochs of the clipped objective over shuffled minibatches."""
+    flat = Rollout(*(column.flatten(0, 1) for column in rollout))
+    returns = flat.advantage + flat.value
+    for _ in range(EPOCHS):
+        for index in torch.randperm(len(returns)).chunk(MINIBATCHES):
+            policy = agent.distribution(flat.observation[index])
+            ratio = (policy.log_prob(flat.action[index]).sum(-1) - flat.log_probability[index]).exp()
+            gain = flat.advantage[index]
+            gain = (gain - gain.mean()) / (gain.std() + 1e-8)
+            surrogate = torch.minimum(ratio * gain, ratio.clamp(1.0 - CLIP, 1.0 + CLIP) * gain).mean()
+            miss = (agent.worth(flat.observation[index]) - returns[index]).square().mean()
+            loss = VALUE * miss - surrogate - ENTROPY * policy.entropy().sum(-1).mean()
+            optimizer.zero_grad()
+            loss.backward()
+            nn.utils.clip_grad_norm_(agent.parameters(), 0.5)
+            optimizer.step()
+
+
+class Score(NamedTuple):
+    """Means over episodes: the return, the error over the last `LATE` steps in mm, and the share of those in 10 mm."""
+
+    episode: float
+    error_mm: float
+    success: float
+
+    def __str__(self) -> str:
+        """A line of the table."""
+        return f"return {self.episode:8.1f}   error {self.error_mm:6.1f} mm   within 10 mm {self.success:6.1%}"
+
+
+def evaluate(settings: dict[str, object], act: Callable[[Tensor], Tensor], rows: int = 512) -> Score:
+    """One episode of rows that training never saw."""
+    envs = gymnasium.make_vec("apcc/Reach-v0", num_envs=rows, **settings)
+    observation, _ = envs.reset(seed=1_000_003)
+    total, error, success = torch.zeros(rows), [], []
+    for _ in range(EPISODE - 1):
+        observation, reward, _, _, info = envs.step(act(observation))
+        total += reward
+        error.append(info["error"])
+        success.append(info["is_success"].float())
+    return Score(
+        float(total.mean()), 1e3 * float(torch.stack(error[-LATE:]).mean()), float(torch.stack(success[-LATE:]).mean())
+    )
+
+
+def draw(curve: list[tuple[int, Score]], baselines: dict[str, Score], path: Path) -> None:
+    """The learning curve beside the baselines."""
+    figure = style.new_figure(9.0, 4.2)
+    axes = figure.subplots(1, 2)
+    steps = [1e-6 * step for step, _ in curve]
+    for ax, field, label in zip(
+        axes, ("episode", "error_mm"), ("return of an episode", "error at the end (mm)"), strict=True
+    ):
+        style.dress(ax, "environment steps (millions)", label)
+        ax.plot(steps, [getattr(score, field) for _, score in curve], color=style.BLUE, linewidth=2.4, label="PPO")
+        for (name, score), color, dash in zip(
+            baselines.items(), (style.VERMILION, style.MUTED), style.DASHES[1:], strict=False
+        ):
+            ax.axhline(getattr(score, field), color=color, linestyle=dash, linewidth=1.8, label=name)
+        ax.set_xlim(0.0, steps[-1])
+    style.from_zero(axes[1])
+    style.legend(axes[1], loc="center right")
+    print(style.save_figure(figure, path, dpi=110))
+
+
+def learn(settings: dict[str, object], options: argparse.Namespace) -> list[tuple[int, Score]]:
+    """Trains an agent; its scores on the way, each with the environment steps up to then."""
+    envs = gymnasium.make_vec("apcc/Reach-v0", num_envs=options.envs, autoreset_mode="SAME_STEP", **settings)
+    observation, _ = envs.reset(seed=options.seed)
+    agent = Agent(envs.single_observation_space.shape[0], envs.single_action_space.shape[0])
+    optimizer = torch.optim.Adam(agent.parameters(), lr=LEARNING_RATE, eps=1e-5)
+    rounds = max(1, options.steps // (options.envs * EPISODE))
+    every = max(1, rounds // 12)
+
+    @torch.no_grad()
+    def learnt(seen: Tensor) -> Tensor:
+        return agent.policy(agent.scaled(seen))
+
+    curve = [(0, evaluate(settings, learnt))]
+    started = time.perf_counter()
+    for update in range(1, rounds + 1):
+        optimizer.param_groups[0]["lr"] = LEARNING_RATE * (1.0 - (update - 1) / rounds)
+        # Whole episodes: the rows run in step, and part of an episode would be seen without the others.
+        rollout, observation = collect(envs, agent, observation, EPISODE)
+        improve(agent, optimizer, rollout)
+        if update % every == 0 or update == rounds:
+            curve.append((update * options.envs * EPISODE, evaluate(settings, learnt)))
+            print(f"{curve[-1][0]:>9} steps {time.perf_counter() - started:5.0f} s   {curve[-1][1]}", flush=True)
+    return curve
+
+
+def main() -> None:
+    """Learns, compares and draws."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--dynamics", default="dynamic", help="dynamic or kinematic (default: %(default)s)")
+    parser.add_argument("--action", default="configuration_velocity", help="action mode (default: %(default)s)")
+    parser.add_argument("--steps", type=int, default=1_200_000, help="environment steps (default: %(default)s)")
+    parser.add_argument("--envs", type=int, default=512, help="arms side by side (default: %(default)s)")
+    parser.add_argument("--seed", type=int, default=0, help="of everything random (default: %(default)s)")
+    parser.add_argument("--threads", type=int, default=2, help="torch threads (default: %(default)s)")
+    figure = Path(__file__).parent.parent / "docs" / "images" / "ppo_reach.png"
+    parser.add_argument("--figure", default=str(figure), help="where the curve goes (default: %(default)s)")
+    options = parser.parse_args()
+    torch.set_num_threads(options.threads)
+    torch.manual_seed(options.seed)
+    settings: dict[str, object] = {"dynamics": options.dynamics, "action": options.action, "dtype": "float32"}
+    settings |= {"control_rate": RATE, "substeps": 100 // RATE, "max_episode_steps": EPISODE}
+    size = gymnasium.make_vec("apcc/Reach-v0", **settings).single_action_space.shape[0]
+    chance = torch.Generator().manual_seed(options.seed)
+    baselines = {
+        "no action": evaluate(settings, lambda seen: torch.zeros(len(seen), size)),
+        "random actions": evaluate(settings, lambda seen: 2.0 * torch.rand(len(seen), size, generator=chance) - 1.0),
+    }
+    curve = learn(settings, options)
+    for name, score in [*baselines.items(), ("PPO", curve[-1][1])]:
+        print(f"{name:<24}{score}")
+    draw(curve, baselines, Path(options.figure))
+
+
+if __name__ == "__main__":
+    main()
