@@ -1,189 +1,213 @@
 """The speed table: `python benchmarks/run.py` prints it and saves speed.json.
 
-Every row is the median of many calls in this process; compare rows of one run, for machines are noisy. Rows at batch 1
-use one thread. With glibc, MALLOC_TRIM_THRESHOLD_=1000000000 and MALLOC_MMAP_THRESHOLD_=1000000000 in the environment
-avoid page faults at large batches; the file says whether they were set.
+Every row is the median of many calls in one process; ratios are between rows of the same run, for machines are noisy.
+Rows at batch 1 use one thread. `floor` gives the scalar operations and the bytes in and out of one row of the same
+formulas, as the compiler counts them. Peers are timed beside where they are installed (pip install -e '.[oracle]').
+Machine code is built once, which takes a few minutes at the first run, and is kept (APCC_CACHE).
+`--device cuda` times the eager rows on a GPU instead.
 """
 
 from __future__ import annotations
 
 import argparse
+import importlib
+import importlib.util
 import os
 import platform
 import resource
-import statistics
+import subprocess
+import sys
 import time
 from collections.abc import Callable
-from math import pi
+from typing import Any
 
 import torch
-from torch import Tensor
+from peer_numpy import prepared
+from peer_rigid_chain import tip_and_jacobian
+from subjects import LENGTHS, PLANT, SENSORS, closed_loop, controller, dynamics, floor, one_row, plant, states, steps
+from timing import timed, timed_steps
 
 import apcc_torch
-from apcc_torch import (
-    AdaptiveLaw,
-    APCCController,
-    InverseKinematics,
-    Measurement,
-    PCCBackbone,
-    SavitzkyGolay,
-    SoftArmDynamics,
-    StateFeedback,
-    decouple,
-)
-from apcc_torch.control.pid import TendonPID, TendonReference
-from apcc_torch.control.signals import ControllerState
+from apcc_torch import PCCBackbone
 from apcc_torch.files import write_json
 from apcc_torch.model.backbone import HANGING
-from apcc_torch.model.integrators import ArmState
-from apcc_torch.model.stiffness import scaled_stiffness
-from apcc_torch.model.tendons import rack_routing
-from apcc_torch.simulation.dynamic import DynamicSettings, simulate_dynamic
-from apcc_torch.simulation.kinematic import start_configuration
-from apcc_torch.simulation.plant import Plant
-from apcc_torch.simulation.sensors import PoseSensors
-from apcc_torch.simulation.trajectory import SetPoint, SineTrajectory
+from apcc_torch.native.function import NativeFunction
+from apcc_torch.native.structure import flattened, rebuilt
 
-LENGTHS = (0.105, 0.255, 0.24)
-SENSORS = (0.105, 0.36, 0.6)
-PLANT = (0.0525, 0.0525, 0.1275, 0.1275, 0.12, 0.12)
-RATE = 250.0
+Row = dict[str, float]
+D = torch.float64
+BATCHES = (1, 64, 4096)
+REAL_TIME_STEPS = 100_000
 
 
-def timed(call: Callable[[], object], budget: float) -> dict[str, float]:
-    """Median, 99.9th percentile and spread of a call, in microseconds, over about `budget` seconds."""
-    call()
-    samples: list[float] = []
-    end = time.perf_counter() + budget
-    while len(samples) < 5 or time.perf_counter() < end:
-        started = time.perf_counter()
-        call()
-        samples.append(1e6 * (time.perf_counter() - started))
-    samples.sort()
-    last = len(samples) - 1
-    return {
-        "median_us": statistics.median(samples),
-        "p999_us": samples[round(0.999 * last)],
-        "min_us": samples[0],
-        "calls": float(len(samples)),
-    }
+class Table:
+    """Rows as they come, printed and kept."""
+
+    def __init__(self, only: str | None) -> None:
+        self.rows: dict[str, Any] = {}
+        self.only = only
+        print(f"{'row':<50}{'median us':>12}{'p99.9 us':>12}{'us a row':>12}{'rows/s':>14}")
+
+    def add(self, name: str, batch: int, threads: int, job: Callable[[], Row]) -> None:
+        """Runs one row's job with so many threads."""
+        if self.only is not None and self.only not in name:
+            return
+        torch.set_num_threads(threads)
+        found = job()
+        found["us_a_row"] = found["median_us"] / batch
+        found["rows_per_s"] = 1e6 / found["us_a_row"]
+        found["threads"] = float(threads)
+        self.rows[name] = found
+        tail = found.get("p999_us", float("nan"))
+        print(f"{name:<50}{found['median_us']:>12.1f}{tail:>12.1f}{found['us_a_row']:>12.2f}{found['rows_per_s']:>14.0f}",
+              flush=True)  # fmt: skip
+
+    def compare(self, name: str, peer: str, label: str) -> None:
+        """How many times as fast a row is as a peer's, both per row."""
+        if name in self.rows and peer in self.rows:
+            self.rows[name][f"ratio_to_{label}"] = self.rows[peer]["us_a_row"] / self.rows[name]["us_a_row"]
 
 
-def controller(dtype: torch.dtype, routed: bool = False) -> APCCController:
-    """The A-PCC controller with poses and the estimator-aware law."""
-    backbone = PCCBackbone(3, torch.tensor(HANGING, dtype=dtype))
-    sensors = torch.tensor(SENSORS, dtype=dtype)
-    return APCCController(
-        backbone,
-        StateFeedback(backbone, sensors),
-        SavitzkyGolay(15, 2),
-        InverseKinematics(1.8 if routed else 1.0, null_gain=0.2),
-        AdaptiveLaw(3, 1.0, reach=0.6, normalisation=10.0),
-        routing=rack_routing(sensors) if routed else None,
-        elongation_bound=0.08 if routed else None,
-    )
+def control_steps(table: Table, options: argparse.Namespace) -> None:
+    """The control step, eager and as machine code, and in plain NumPy."""
+    for dtype, label in ((D, "float64"), (torch.float32, "float32")):
+        for batch in BATCHES:
+            name = f"control_step_{label}_batch_{batch}"
+            threads = 1 if batch == 1 else options.threads
+            if options.only is not None and options.only not in name + "_aot":
+                continue
+            count = 400 if batch == 1 else 25
+            c, inputs = steps(batch, dtype, count)
+            late = inputs[-min(count - 20, 200) :]
+            many = max(20, round(options.budget / (3e-3 if batch < 4096 else 0.3)))
+            on = [rebuilt(given, (leaf.to(options.device) for leaf in flattened(given))) for given in late]
+            eager = c.to(options.device)
+            table.add(f"{name}_eager", batch, threads, lambda c=eager, g=on, n=many: timed_steps(c, g, n))
+            if options.device != "cpu":
+                continue
+            step = NativeFunction(c.to("cpu"), one_row(late[0], batch), threads=threads)
+            calls = (REAL_TIME_STEPS if batch == 1 else 2000 if batch < 4096 else 100) if not options.quick else 2000
+            table.add(f"{name}_aot", batch, threads,
+                      lambda s=step, g=late, n=calls: timed_steps(s, g, n) | floor(s))  # fmt: skip
+            table.compare(f"{name}_aot", f"{name}_eager", "eager")
+            if batch == 1 and dtype == D:
+                routing = c.routing
+                assert routing is not None
+                numpy_step, given = prepared(inputs, SENSORS, routing.angles.numpy(), float(routing.offsets[0]))
+                table.add("control_step_numpy", 1, 1, lambda s=numpy_step, g=given: timed_steps(s.step, g[:380], 380))
+                table.compare(f"{name}_aot", "control_step_numpy", "numpy")
 
 
-class Stepping:
-    """The controller in the loop of section V-A, so that the estimator has its usual work."""
-
-    def __init__(self, batch: int, dtype: torch.dtype) -> None:
-        self.controller = controller(dtype)
-        self.pi = torch.tensor(LENGTHS, dtype=dtype)
-        self.path = SineTrajectory(
-            torch.tensor([0.0, 0.0, -0.5], dtype=dtype), torch.tensor([0.5, 0.3, 0.1], dtype=dtype), 0.2 * pi
-        )
-        self.k = 0
-        start = start_configuration(self.controller.backbone, self.pi, self.path(self.now()).x_d)
-        self.q = start.expand(batch, 9) if batch > 1 else start
-        first = torch.tensor([0.12, 0.28, 0.27], dtype=dtype)
-        self.state: ControllerState = self.controller.initial_state(self.q, first)
-        self.places = decouple(torch.tensor(SENSORS, dtype=dtype), self.pi)
-
-    def now(self) -> Tensor:
-        """Time of the step, s."""
-        return torch.tensor(self.k / RATE, dtype=self.pi.dtype)
-
-    def prepare(self) -> Measurement:
-        """What the sensors see now."""
-        return Measurement(self.controller.backbone.pose(self.q, self.pi, *self.places), self.now())
-
-    def measure(self, budget: float) -> dict[str, float]:
-        """Times the controller alone, sensors and plant left out."""
-        samples: list[float] = []
-        end = time.perf_counter() + budget
-        while len(samples) < 25 or time.perf_counter() < end:
-            seen, target = self.prepare(), self.path(self.now())
-            started = time.perf_counter()
-            self.state, command = self.controller(self.state, seen, target)
-            samples.append(1e6 * (time.perf_counter() - started))
-            self.q = self.q + command.qdot / RATE
-            self.k += 1
-        samples = sorted(samples[5:])
-        return {
-            "median_us": statistics.median(samples),
-            "p999_us": samples[round(0.999 * (len(samples) - 1))],
-            "min_us": samples[0],
-            "calls": float(len(samples)),
-        }
-
-    def measure_estimator(self, budget: float) -> dict[str, float]:
-        """Times algorithm 2 alone, in the middle of the loop."""
-        for _ in range(20):
-            self.state, command = self.controller(self.state, self.prepare(), self.path(self.now()))
-            self.q = self.q + command.qdot / RATE
-            self.k += 1
-        seen, state = self.prepare(), self.state
-        return timed(lambda: self.controller.feedback(state.q_bar, state.pi_hat, seen.T), budget)
+def forward_dynamics(table: Table, options: argparse.Namespace) -> None:
+    """Six sections, beside SoRoMoX."""
+    arm = dynamics(6, D)
+    peer: Any = None
+    if importlib.util.find_spec("soromox") is not None and options.device == "cpu":
+        # Only here, and only where it is installed: it takes seconds to load.
+        peer = importlib.import_module("peer_soromox").Peer(arm)
+        q, qdot, tau = states(6, 8, D)
+        wrong = float((peer.acceleration(q, qdot) - arm(q, qdot, tau)).abs().max() / arm(q, qdot, tau).abs().max())
+        print(f"  SoRoMoX has the same arm: accelerations differ by {wrong:.0e} of the largest")
+        table.rows["soromox_difference"] = {"relative": wrong}
+    for batch in (1, 256, 4096):
+        threads = 1 if batch == 1 else options.threads
+        given = states(6, batch, D)
+        name = f"forward_dynamics_batch_{batch}"
+        on = tuple(value.to(options.device) for value in given)
+        eager = dynamics(6, D).to(options.device)
+        table.add(f"{name}_eager", batch, threads, lambda a=eager, g=on: timed(lambda: a(*g), options.budget))
+        if options.device != "cpu":
+            continue
+        step = NativeFunction(arm, tuple(value[0] for value in given) if batch > 1 else given, threads=threads)
+        table.add(f"{name}_aot", batch, threads,
+                  lambda s=step, g=given: timed(lambda: s(*g), options.budget) | floor(s))  # fmt: skip
+        table.compare(f"{name}_aot", f"{name}_eager", "eager")
+        if peer is not None:
+            call = peer.forward(given[0], given[1])
+            table.add(f"{name}_soromox", batch, threads, lambda c=call: timed(c, options.budget))
+            table.compare(f"{name}_aot", f"{name}_soromox", "soromox")
+            table.compare(f"{name}_eager", f"{name}_soromox", "soromox")
+    if peer is not None:
+        # Its fastest fixed step that holds on this arm at rest and under load; the toolkit's loop is closed and stiffer.
+        q, qdot, _ = states(6, 1, D)
+        call = peer.rollout(0.0 * q, 0.0 * qdot, 1.0, 5e-4)
+        table.add("rollout_second_soromox_1_row", 1, 1, lambda: timed(call, options.budget, least=3))
 
 
-def dynamics(n: int, dtype: torch.dtype) -> SoftArmDynamics:
-    """The arm of section V-B with n sections."""
-    lengths = torch.tensor(PLANT, dtype=dtype) if n == 6 else torch.full((n,), 0.6 / n, dtype=dtype)
-    axial, bending = scaled_stiffness(lengths)
-    base = torch.tensor(HANGING, dtype=dtype)
-    return SoftArmDynamics(lengths, lengths / lengths.sum(), axial, bending, damping_ratio=0.1, base_rotation=base)
+def backbones(table: Table, options: argparse.Namespace) -> None:
+    """Tip and Jacobian of three sections, beside pytorch-kinematics."""
+    backbone = PCCBackbone(3, torch.tensor(HANGING, dtype=D))
+    L0 = torch.tensor(LENGTHS, dtype=D)
+    for batch in BATCHES:
+        q = states(3, max(batch, 2), D)[0][:batch]
+        threads = 1 if batch == 1 else options.threads
+        table.add(f"tip_and_jacobian_batch_{batch}", batch, threads,
+                  lambda q=q: timed(lambda: backbone.tip_and_jacobian(q, L0), options.budget))  # fmt: skip
+        chain = tip_and_jacobian(q, L0)
+        table.add(f"tip_and_jacobian_batch_{batch}_rigid_chain", batch, threads,
+                  lambda c=chain: timed(c, options.budget))  # fmt: skip
+        table.compare(f"tip_and_jacobian_batch_{batch}", f"tip_and_jacobian_batch_{batch}_rigid_chain", "rigid_chain")
 
 
-def forward(n: int, batch: int, dtype: torch.dtype, budget: float) -> dict[str, float]:
-    """Times the forward dynamics."""
-    arm = dynamics(n, dtype)
-    generator = torch.Generator().manual_seed(0)
-    q = 0.1 * torch.randn(batch, 3 * n, dtype=dtype, generator=generator)
-    q[:, 2::3] *= 0.02
-    tau = torch.zeros_like(q)
-    return timed(lambda: arm(q, q, tau), budget)
+def loops(table: Table, options: argparse.Namespace) -> None:
+    """Section V-B's loop, closed and open."""
+    for rows in (1, 60, 4096):
+        for mode in ("off", "aot"):
+            seconds = 10.0 if mode == "aot" and rows < 4096 else 0.5
+            name = f"closed_loop_{rows}_rows_{'eager' if mode == 'off' else mode}"
+
+            def second(rows: int = rows, seconds: float = seconds, mode: str = mode) -> Row:
+                closed_loop(rows, 0.05, mode)
+                started = time.perf_counter()
+                closed_loop(rows, seconds, mode)
+                took = time.perf_counter() - started
+                return {"median_us": 1e6 * took / seconds, "seconds_for_10_s": 10.0 * took / seconds}
+
+            table.add(name, rows, 1 if rows == 1 else options.threads, second)
+        table.compare(f"closed_loop_{rows}_rows_aot", f"closed_loop_{rows}_rows_eager", "eager")
+        table.compare(f"closed_loop_{rows}_rows_aot", "rollout_second_soromox_1_row", "soromox_open_loop")
+    for rows in (1, 4096):
+        for mode in ("off", "aot"):
+            arm, seconds = plant(rows), 10.0 if mode == "aot" and rows == 1 else 0.5
+
+            def hanging(arm: Any = arm, seconds: float = seconds, mode: str = mode) -> Row:
+                arm.settled(0.01, 0.005, mode)
+                started = time.perf_counter()
+                arm.settled(seconds, 0.005, mode)
+                return {"median_us": 1e6 * (time.perf_counter() - started) / seconds}
+
+            name = f"open_loop_{rows}_rows_{'eager' if mode == 'off' else mode}"
+            table.add(name, rows, 1 if rows == 1 else options.threads, hanging)
+        table.compare(f"open_loop_{rows}_rows_aot", f"open_loop_{rows}_rows_eager", "eager")
+        table.compare(f"open_loop_{rows}_rows_aot", "rollout_second_soromox_1_row", "soromox_open_loop")
 
 
-def plant_step(batch: int, budget: float) -> dict[str, float]:
-    """Times one plant step under the tendon loop."""
-    racks = torch.tensor(SENSORS, dtype=torch.float64)
-    plant = Plant(
-        dynamics(6, torch.float64), rack_routing(racks), TendonPID(), torch.zeros(batch, dtype=torch.float64), 200.0
-    )
-    zero = torch.zeros(batch, 18, dtype=torch.float64)
-    z = torch.zeros(batch, 9, dtype=torch.float64)
-    hold = TendonReference(z, z)
-    return timed(lambda: plant.step(ArmState(zero, zero), z, hold, 0.005), budget)
+def scaling(table: Table, options: argparse.Namespace) -> None:
+    """How cost grows with the sections."""
+    for n in (2, 4, 8, 16, 32):
+        arm, given = dynamics(n, D).to(options.device), tuple(v.to(options.device) for v in states(n, 256, D))
+        table.add(f"forward_dynamics_{n}_sections_batch_256_eager", 256, 1,
+                  lambda a=arm, g=given: timed(lambda: a(*g), options.budget))  # fmt: skip
 
 
-def closed_loop(rows: int, duration: float) -> dict[str, float]:
-    """Times the whole closed loop of section V-B, settling left out by subtraction."""
-    racks = torch.tensor(SENSORS, dtype=torch.float64)
-    payload = torch.linspace(0.0, 0.5, rows, dtype=torch.float64)
-    plant = Plant(dynamics(6, torch.float64), rack_routing(racks), TendonPID(), payload, 200.0)
-    target = SetPoint(torch.tensor([0.215, 0.03, -0.515], dtype=torch.float64).expand(rows, 3))
-    first = torch.tensor(LENGTHS, dtype=torch.float64)
+COLD = """
+import time; begin = time.perf_counter()
+import torch; loaded = time.perf_counter()
+import apcc_torch
+apcc_torch.PCCBackbone(3).tip(torch.zeros(9), torch.ones(3))
+end = time.perf_counter()
+print(1e6 * (end - begin), 1e6 * (end - loaded))
+"""
 
-    def run(seconds: float) -> float:
-        settings = DynamicSettings(seconds, 100.0, 2, 0.2)
-        started = time.perf_counter()
-        simulate_dynamic(plant, controller(torch.float64, routed=True), PoseSensors(), target, first, settings)
-        return time.perf_counter() - started
 
-    run(0.05)
-    second = (run(duration + 0.1) - run(0.1)) / duration
-    return {"median_us": 1e6 * second, "seconds_for_10_s": 10.0 * second, "rows": float(rows)}
+def cold_start() -> Row:
+    """From nothing to the first tip, in processes of their own; `without_torch_us` leaves torch's own import out."""
+    runs = []
+    for _ in range(5):
+        done = subprocess.run([sys.executable, "-c", COLD], capture_output=True, text=True, check=True)
+        runs.append([float(v) for v in done.stdout.split()])
+    whole, rest = (sorted(column)[len(column) // 2] for column in zip(*runs, strict=True))
+    return {"median_us": whole, "without_torch_us": rest}
 
 
 def main() -> None:
@@ -191,69 +215,45 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", default="speed.json", help="where the numbers go (default: %(default)s)")
     parser.add_argument("--quick", action="store_true", help="a fifth of the time a row, for a first look")
-    parser.add_argument(
-        "--scaling", action="store_true", help="also how cost grows with sections and batch, and memory"
-    )
-    parser.add_argument("--full-grid", action="store_true", help="also run 180 rows of the closed loop for all 10 s")
-    parser.add_argument(
-        "--threads", type=int, default=1, help="torch threads for batches above 1 (default: %(default)s)"
-    )
+    parser.add_argument("--only", help="only rows whose name holds this")
+    parser.add_argument("--device", default="cpu", help="of the eager rows (default: %(default)s)")
+    parser.add_argument("--threads", type=int, default=os.cpu_count() or 1,
+                        help="for batches above 1 (default: all, %(default)s)")  # fmt: skip
     options = parser.parse_args()
-    budget = 0.4 if options.quick else 2.0
-    jobs: dict[str, tuple[int, int, Callable[[], dict[str, float]]]] = {}
-    for dtype, name in ((torch.float64, "float64"), (torch.float32, "float32")):
-        for batch in (1, 64, 4096):
-            jobs[f"control_step_{name}_batch_{batch}"] = (
-                batch,
-                1 if batch == 1 else options.threads,
-                lambda batch=batch, dtype=dtype: Stepping(batch, dtype).measure(budget),
-            )
-            jobs[f"estimator_{name}_batch_{batch}"] = (
-                batch,
-                1 if batch == 1 else options.threads,
-                lambda batch=batch, dtype=dtype: Stepping(batch, dtype).measure_estimator(budget),
-            )
-    for batch in (1, 256, 4096):
-        jobs[f"forward_dynamics_6_sections_batch_{batch}"] = (
-            batch,
-            1 if batch == 1 else options.threads,
-            lambda batch=batch: forward(6, batch, torch.float64, budget),
-        )
-    jobs["plant_step_batch_60"] = (60, options.threads, lambda: plant_step(60, budget))
-    jobs["closed_loop_second_30_rows"] = (30, options.threads, lambda: closed_loop(30, 1.0))
-    jobs["closed_loop_second_180_rows"] = (180, options.threads, lambda: closed_loop(180, 1.0))
-    if options.full_grid:
-        jobs["closed_loop_10_s_180_rows"] = (180, options.threads, lambda: closed_loop(180, 10.0))
-    if options.scaling:
-        for n in (2, 4, 8, 16, 32):
-            jobs[f"forward_dynamics_{n}_sections_batch_256"] = (
-                256,
-                options.threads,
-                lambda n=n: forward(n, 256, torch.float64, budget),
-            )
-        jobs["closed_loop_second_4096_rows"] = (4096, options.threads, lambda: closed_loop(4096, 0.1))
-    results: dict[str, object] = {}
-    print(f"{'row':<42}{'median us':>12}{'p99.9 us':>12}{'rows/s':>12}")
-    for name, (batch, threads, job) in jobs.items():
-        torch.set_num_threads(threads)
-        with torch.inference_mode():
-            found = job()
-        found["rows_per_s"] = 1e6 * batch / found["median_us"]
-        found["peak_rss_mib"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
-        results[name] = found
-        tail = found.get("p999_us", float("nan"))
-        print(f"{name:<42}{found['median_us']:>12.0f}{tail:>12.0f}{found['rows_per_s']:>12.0f}")
-    results["machine"] = {
-        "processor": platform.processor() or platform.machine(),
+    options.budget = 0.4 if options.quick else 2.0
+    table = Table(options.only)
+    with torch.no_grad():
+        table.add("cold_start", 1, 1, cold_start)
+        control_steps(table, options)
+        forward_dynamics(table, options)
+        scaling(table, options)
+        if options.device == "cpu":
+            backbones(table, options)
+            loops(table, options)
+    table.rows["machine"] = {
+        "processor": processor(),
         "cpus": os.cpu_count(),
+        "device": torch.cuda.get_device_name() if options.device.startswith("cuda") else "cpu",
         "torch": torch.__version__,
         "python": platform.python_version(),
         "apcc_torch": apcc_torch.__version__,
-        "malloc_settings": {"MALLOC_TRIM_THRESHOLD_", "MALLOC_MMAP_THRESHOLD_"} <= os.environ.keys(),
+        "plant_sections": len(PLANT),
+        "operations_of": type(controller(D)).__name__,
+        "peak_rss_mib": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0,
         "load": os.getloadavg()[0],
     }
-    write_json(options.out, results)
+    write_json(options.out, table.rows)
     print(f"saved {options.out}")
+
+
+def processor() -> str:
+    """What the machine calls its processor."""
+    try:
+        with open("/proc/cpuinfo") as file:
+            names = [line.split(":", 1)[1].strip() for line in file if line.startswith("model name")]
+    except OSError:
+        names = []
+    return names[0] if names else platform.processor() or platform.machine()
 
 
 if __name__ == "__main__":

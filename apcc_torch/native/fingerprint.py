@@ -17,6 +17,11 @@ from apcc_torch.errors import CompileError
 from apcc_torch.settings import row_tensors
 
 _PACKAGE = Path(__file__).resolve().parent.parent
+# Where the code of steps is; of a class from elsewhere its own file counts.
+_CORE = (
+    "*.py",
+    *(f"{folder}/**/*.[ph]*" for folder in ("control", "estimation", "lie", "model", "native", "simulation")),
+)
 # What nn.Module keeps for itself, none of which changes what `forward` computes.
 _BOOKKEEPING = frozenset(vars(nn.Module())) - {"_parameters", "_buffers", "_modules", "training"}
 
@@ -24,14 +29,15 @@ _BOOKKEEPING = frozenset(vars(nn.Module())) - {"_parameters", "_buffers", "_modu
 @cache
 def _package_code() -> bytes:
     digest = hashlib.sha256(torch.__version__.encode())
-    for path in sorted((*_PACKAGE.rglob("*.py"), *_PACKAGE.rglob("*.hpp"))):
-        digest.update(path.read_bytes())
+    for path in sorted({path for pattern in _CORE for path in _PACKAGE.glob(pattern)}):
+        if path.suffix in (".py", ".hpp"):
+            digest.update(path.read_bytes())
     return digest.digest()
 
 
 def _code_of(made: type) -> bytes:
-    """The source of a class from outside the package."""
-    if made.__module__.split(".")[0] in ("apcc_torch", "torch", "builtins"):
+    """The source of a class from outside the core."""
+    if made.__module__.split(".")[0] in ("torch", "builtins"):
         return b""
     try:
         return Path(inspect.getfile(made)).read_bytes()

@@ -75,10 +75,10 @@ class NativeFunction:
         self.threads = threads
         self._rows = [tensor for tensor, _ in row_tensors(module).values()]
         with torch.inference_mode():
-            self._traced, extra = one_row(module)
-            self._like = self._traced(*example, *extra)
-        self._example = (*example, *extra)
-        given, returned = flattened(self._example), flattened(self._like)
+            self.traced, extra = one_row(module)
+            self._like = self.traced(*example, *extra)
+        self.example = (*example, *extra)
+        given, returned = flattened(self.example), flattened(self._like)
         self._inputs = [Leaf(tuple(t.shape), t.dtype) for t in given]
         self._outputs = [Leaf(tuple(t.shape), t.dtype) for t in returned]
         for tensor in given:
@@ -101,13 +101,13 @@ class NativeFunction:
         """The compiled code for so many rows at once, built where it is not there yet."""
         if lanes not in self._entries:
             name = fingerprint(
-                self.module, described(self._example), str(self._carried), f"{lanes} lanes of {self._dtype}"
+                self.module, described(self.example), str(self._carried), f"{lanes} lanes of {self._dtype}"
             )
             library = cached(name)
             if library is None:
                 log.info("building machine code for %s, once; it is kept in %s", self._named, cache_folder())
                 with torch.inference_mode(False):
-                    trace = traced(self._traced, self._example)
+                    trace = traced(self.traced, self.example)
                 source = program(trace, lanes, self._dtype, self._carried, os.cpu_count() or 1)
                 library = built(source, name)
             self._entries[lanes] = loaded(library)

@@ -1,0 +1,124 @@
+"""What is timed: the toolkit's control step, dynamics and closed loop, on the paper's arm."""
+
+from __future__ import annotations
+
+from math import pi
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from apcc_torch import (
+    AdaptiveLaw,
+    APCCController,
+    InverseKinematics,
+    Measurement,
+    PCCBackbone,
+    SavitzkyGolay,
+    SoftArmDynamics,
+    StateFeedback,
+    decouple,
+)
+from apcc_torch.control.pid import TendonPID
+from apcc_torch.model.backbone import HANGING
+from apcc_torch.model.stiffness import scaled_stiffness
+from apcc_torch.model.tendons import rack_routing
+from apcc_torch.native.function import NativeFunction
+from apcc_torch.native.layout import laid_out
+from apcc_torch.native.structure import flattened, rebuilt
+from apcc_torch.native.trace import traced
+from apcc_torch.simulation.dynamic import DynamicLog, DynamicSettings, simulate_dynamic
+from apcc_torch.simulation.kinematic import start_configuration
+from apcc_torch.simulation.plant import Plant
+from apcc_torch.simulation.sensors import PoseSensors
+from apcc_torch.simulation.trajectory import SetPoint, SineTrajectory
+
+LENGTHS = (0.105, 0.255, 0.24)
+SENSORS = (0.105, 0.36, 0.6)
+PLANT = (0.0525, 0.0525, 0.1275, 0.1275, 0.12, 0.12)
+GUESS = (0.12, 0.28, 0.27)
+RATE = 250.0
+
+
+def controller(dtype: torch.dtype, tendons: bool = True) -> APCCController:
+    """The A-PCC controller with poses, up to 7 iterations, the estimator-aware law, and tendons."""
+    backbone = PCCBackbone(3, torch.tensor(HANGING, dtype=dtype))
+    sensors = torch.tensor(SENSORS, dtype=dtype)
+    return APCCController(
+        backbone,
+        StateFeedback(backbone, sensors),
+        SavitzkyGolay(15, 2),
+        InverseKinematics(1.8, null_gain=0.2),
+        AdaptiveLaw(3, 1.0, reach=0.6, normalisation=10.0),
+        routing=rack_routing(sensors) if tendons else None,
+        elongation_bound=0.08 if tendons else None,
+    )
+
+
+def steps(batch: int, dtype: torch.dtype, count: int) -> tuple[APCCController, list[tuple[Any, ...]]]:
+    """The controller, and its arguments at `count` successive steps of section V-A's loop."""
+    c = controller(dtype)
+    lengths = torch.tensor(LENGTHS, dtype=dtype)
+    path = SineTrajectory(
+        torch.tensor([0.0, 0.0, -0.5], dtype=dtype), torch.tensor([0.5, 0.3, 0.1], dtype=dtype), 0.2 * pi
+    )
+    zero = torch.zeros((), dtype=dtype)
+    start = start_configuration(c.backbone, lengths, path(zero).x_d)
+    q = start.expand(batch, 9) if batch > 1 else start
+    state = c.initial_state(q, torch.tensor(GUESS, dtype=dtype))
+    places = decouple(torch.tensor(SENSORS, dtype=dtype), lengths)
+    inputs: list[tuple[Any, ...]] = []
+    for k in range(count):
+        time = zero + k / RATE
+        inputs.append((state, Measurement(c.backbone.pose(q, lengths, *places), time), path(time)))
+        state, command = c(*inputs[-1])
+        q = q + command.qdot / RATE
+    return c, inputs
+
+
+def one_row(item: Any, batch: int) -> Any:
+    """The first row of arguments of a batch."""
+    leaves = [leaf[0] if batch > 1 and leaf.dim() and leaf.shape[0] == batch else leaf for leaf in flattened(item)]
+    return rebuilt(item, iter(leaves))
+
+
+def dynamics(n: int, dtype: torch.dtype) -> SoftArmDynamics:
+    """The arm of section V-B with n sections."""
+    lengths = torch.tensor(PLANT, dtype=dtype) if n == 6 else torch.full((n,), 0.6 / n, dtype=dtype)
+    axial, bending = scaled_stiffness(lengths)
+    base = torch.tensor(HANGING, dtype=dtype)
+    return SoftArmDynamics(lengths, lengths / lengths.sum(), axial, bending, damping_ratio=0.1, base_rotation=base)
+
+
+def states(n: int, batch: int, dtype: torch.dtype) -> tuple[Tensor, Tensor, Tensor]:
+    """q, qdot and tau of a batch, without a leading dimension for one row."""
+    generator = torch.Generator().manual_seed(0)
+    q, qdot = (0.1 * torch.randn(batch, 3 * n, dtype=torch.float64, generator=generator) for _ in range(2))
+    q[:, 2::3] *= 0.02
+    given = (q.to(dtype), qdot.to(dtype), torch.zeros(batch, 3 * n, dtype=dtype))
+    return given if batch > 1 else tuple(value[0] for value in given)  # type: ignore[return-value]
+
+
+def plant(rows: int) -> Plant:
+    """The true arm of section V-B with payloads from 0 to 0.5 kg."""
+    payload = torch.linspace(0.0, 0.5, rows, dtype=torch.float64)
+    return Plant(dynamics(6, torch.float64), rack_routing(torch.tensor(SENSORS, dtype=torch.float64)), TendonPID(),
+                 payload, 200.0)  # fmt: skip
+
+
+def closed_loop(rows: int, duration: float, compile: str) -> DynamicLog:
+    """Section V-B's closed loop: 100 Hz control, two plant steps a period."""
+    target = SetPoint(torch.tensor([0.215, 0.03, -0.515], dtype=torch.float64).expand(rows, 3))
+    settings = DynamicSettings(duration, 100.0, 2, 0.0, compile)
+    first = torch.tensor(LENGTHS, dtype=torch.float64)
+    return simulate_dynamic(plant(rows), controller(torch.float64), PoseSensors(), target, first, settings)
+
+
+def floor(function: NativeFunction) -> dict[str, float]:
+    """Operations and bytes of one row: what no implementation of the same formulas can do without."""
+    trace = traced(function.traced, function.example)
+    moved = [*trace.inputs, *trace.outputs]
+    return {
+        "operations": float(len(laid_out(trace).order)),
+        "bytes": float(sum(torch.Size(leaf.shape).numel() * leaf.dtype.itemsize for leaf in moved)),
+    }

@@ -1,0 +1,59 @@
+"""How a call is timed: many times, in one process, after a warm-up; medians, tails and spread."""
+
+from __future__ import annotations
+
+import gc
+import statistics
+import time
+from collections.abc import Callable, Sequence
+
+
+def timed(call: Callable[[], object], budget: float, least: int = 5) -> dict[str, float]:
+    """Times a call again and again.
+
+    Args:
+        call: What is timed.
+        budget: About how long in all, s.
+        least: Fewest samples.
+    """
+    call()
+    samples: list[float] = []
+    end = time.perf_counter() + budget
+    while len(samples) < least or time.perf_counter() < end:
+        started = time.perf_counter()
+        call()
+        samples.append(time.perf_counter() - started)
+    return summary(samples)
+
+
+def timed_steps(step: Callable[..., object], inputs: Sequence[tuple[object, ...]], steps: int) -> dict[str, float]:
+    """Times so many steps, the inputs in turn, as a loop in real time would: the garbage collector waits outside."""
+    for given in inputs[:20]:
+        step(*given)
+    samples: list[float] = []
+    gc.collect()
+    gc.freeze()
+    gc.disable()
+    try:
+        for k in range(steps):
+            given = inputs[k % len(inputs)]
+            started = time.perf_counter()
+            step(*given)
+            samples.append(time.perf_counter() - started)
+    finally:
+        gc.enable()
+        gc.unfreeze()
+    return summary(samples)
+
+
+def summary(samples: list[float]) -> dict[str, float]:
+    """Statistics of times in s, as microseconds."""
+    ordered = sorted(1e6 * sample for sample in samples)
+    last = len(ordered) - 1
+    return {
+        "median_us": statistics.median(ordered),
+        "min_us": ordered[0],
+        "p90_us": ordered[round(0.9 * last)],
+        "p999_us": ordered[round(0.999 * last)],
+        "calls": float(len(ordered)),
+    }
