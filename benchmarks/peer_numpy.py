@@ -29,7 +29,7 @@ def arc(x: float, y: float) -> tuple[Array, Array, Array, Array]:
     R = np.array([[1 - x * x * c2, -x * y * c2, x * c1], [-x * y * c2, 1 - y * y * c2, y * c1],
                   [-x * c1, -y * c1, 1 - square * c2]])  # fmt: skip
     u = np.array([x * c2, y * c2, c1])
-    W = np.array([[-x * y * c3, x * x * c3 + c1], [-y * y * c3 - c1, x * y * c3], [-y * c2, x * c2]])
+    W = np.array([[-x * y * c3, -c1 - y * y * c3], [c1 + x * x * c3, x * y * c3], [-y * c2, x * c2]])
     U = np.array([[c2 + x * x * b1, x * y * b1], [x * y * b1, c2 + y * y * b1], [x * a1, y * a1]])
     return R, u, W, U
 
@@ -68,6 +68,14 @@ def log(R: Array, p: Array) -> Array:
     return np.concatenate((w, p - 0.5 * np.cross(w, p) + factor * np.cross(w, np.cross(w, p))))
 
 
+def left_jacobian_inverse(V: Array) -> Array:
+    """Of SE(3) at a twist (angular, linear), by its series: residuals are small."""
+    W, U = (np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]]) for x, y, z in (V[:3], V[3:]))
+    ad = np.block([[W, np.zeros((3, 3))], [U, W]])
+    square = ad @ ad
+    return np.eye(6) - 0.5 * ad + square / 12 - square @ square / 720
+
+
 class Controller:
     """The step with its state.
 
@@ -90,8 +98,9 @@ class Controller:
         twists, rows = [], []
         for X, seen in zip(self.sensors, T, strict=True):
             R, p, J = forward(q, self.pi_hat, X, self.pi_hat)
-            twists.append(log(R.T @ seen[:3, :3], R.T @ (seen[:3, 3] - p)))
-            rows.append(np.vstack((R.T @ J[:3], R.T @ J[3:])))
+            V = log(R.T @ seen[:3, :3], R.T @ (seen[:3, 3] - p))
+            twists.append(V)
+            rows.append(left_jacobian_inverse(V) @ np.vstack((R.T @ J[:3], R.T @ J[3:])))
         return np.concatenate(twists), np.vstack(rows)
 
     def estimate(self, T: Array) -> Array:

@@ -18,10 +18,8 @@ from apcc_torch.settings import row_tensors
 
 _PACKAGE = Path(__file__).resolve().parent.parent
 # Where the code of steps is; of a class from elsewhere its own file counts.
-_CORE = (
-    "*.py",
-    *(f"{folder}/**/*.[ph]*" for folder in ("control", "estimation", "lie", "model", "native", "simulation")),
-)
+_FOLDERS = ("control", "estimation", "lie", "model", "native", "simulation")
+_CORE = ("*.py", *(f"{folder}/**/*.[ph]*" for folder in _FOLDERS))
 # What nn.Module keeps for itself, none of which changes what `forward` computes.
 _BOOKKEEPING = frozenset(vars(nn.Module())) - {"_parameters", "_buffers", "_modules", "training"}
 
