@@ -52,8 +52,8 @@ def table(speed: dict[str, Any]) -> str:
     lines += [
         "",
         f"From nothing to the first tip position: {spelled(cold['median_us'])}, all but "
-        f"{spelled(cold['without_torch_us'])} of it the import of torch. Medians, float64, {machine['cpus']} cores of an "
-        f"{machine['processor']}, torch {machine['torch']}, Python {machine['python']}.",
+        f"{spelled(cold['without_torch_us'])} of it the import of torch. Medians, float64, {machine['cpus']} cores of "
+        f"an {machine['processor']}, torch {machine['torch']}, Python {machine['python']}.",
     ]
     return "\n".join(lines)
 
