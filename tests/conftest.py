@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -25,3 +26,14 @@ def shared_data() -> Path:
     if not folder.is_dir():
         pytest.skip(f"no recorded data in {folder}; APCC_DATA names the folder")
     return folder
+
+
+@pytest.fixture(autouse=True, scope="session")
+def own_libraries(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Machine code that tests build is theirs, shared between parallel workers, and built quickly."""
+    base = tmp_path_factory.getbasetemp()
+    folder = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "libraries"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("APCC_CACHE", str(folder))
+        patch.setenv("CXXFLAGS", "-Og")
+        yield

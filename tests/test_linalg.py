@@ -4,11 +4,38 @@ from __future__ import annotations
 
 import torch
 from hypothesis import given, settings
+from hypothesis import strategies as st
 
-from apcc_torch.linalg import inverse_spd3
+from apcc_torch.linalg import inverse_spd3, solve_spd, solve_spd_unrolled
 from laws import generator, normal, seeds
 
 D = torch.float64
+
+
+@given(n=st.integers(1, 6), m=st.integers(1, 4), shape=st.sampled_from(((), (1,), (2, 3))), seed=seeds)
+@settings(deadline=None, max_examples=40)
+def test_written_out_elimination(n: int, m: int, shape: tuple[int, ...], seed: int) -> None:
+    half, B = normal((*shape, n, n), D, generator(seed)), normal((*shape, n, m), D, generator(seed + 1))
+    A = half @ half.mT + 0.1 * torch.eye(n, dtype=D)
+    torch.testing.assert_close(solve_spd_unrolled(A, B), torch.linalg.solve(A, B), rtol=1e-8, atol=1e-8)
+    one = B[(0,) * len(shape)]
+    torch.testing.assert_close(solve_spd_unrolled(A, one), torch.linalg.solve(A, one.expand_as(B)))
+
+
+def test_large_batches_of_small_systems_are_written_out() -> None:
+    half, B = normal((300, 3, 3), D, generator(0)), normal((300, 3, 9), D, generator(1))
+    A = half @ half.mT + 0.1 * torch.eye(3, dtype=D)
+    A[7] = -A[7]
+    have = solve_spd(A, B)
+    good = torch.arange(300) != 7
+    assert have[7].isnan().all() and torch.equal(have[good], solve_spd_unrolled(A, B)[good])
+    torch.testing.assert_close(have[good], torch.linalg.solve(A[good], B[good]), rtol=1e-8, atol=1e-8)
+
+
+def test_gradient_of_the_written_out_elimination() -> None:
+    half, B = normal((3, 3), D, generator(3)).requires_grad_(), normal((3, 2), D, generator(4)).requires_grad_()
+    eye = torch.eye(3, dtype=D)
+    assert torch.autograd.gradcheck(lambda h, b: solve_spd_unrolled(h @ h.mT + eye, b), (half, B))
 
 
 @given(seed=seeds)

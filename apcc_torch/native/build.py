@@ -17,7 +17,7 @@ from apcc_torch.errors import CompileError
 from apcc_torch.native.source import Source
 
 # Values that are not numbers keep their meaning, so no -ffast-math; errno and traps are nobody's business here.
-FLAGS = ("-std=c++17", "-O2", "-march=native", "-fPIC", "-fno-math-errno", "-fno-trapping-math", "-Wno-psabi")
+FLAGS = ("-std=c++17", "-march=native", "-fPIC", "-fno-math-errno", "-fno-trapping-math", "-Wno-psabi")
 
 
 def cache_folder() -> Path:
@@ -42,6 +42,15 @@ def compiler() -> str:
     raise CompileError(f"no C++ compiler: {named or 'neither g++ nor clang++'} is on the path; install g++ or set CXX")
 
 
+def flags(lanes: int) -> tuple[str, ...]:
+    """What the compiler is told; CXXFLAGS has the last word.
+
+    Straight-line code of plain numbers runs as fast with little optimisation, and is built in half the time; lanes gain
+    a quarter from more.
+    """
+    return (*FLAGS, "-Og" if lanes == 1 else "-O2", *os.environ.get("CXXFLAGS", "").split())
+
+
 @cache
 def target(compiler_path: str) -> str:
     """What the compiler says of itself and of this machine: a library is good only where this is the same."""
@@ -60,7 +69,8 @@ def widest_vector(compiler_path: str) -> int:
 
 def _library(name: str) -> Path:
     """Where the library of this name is kept, for this compiler and machine."""
-    machine = hashlib.sha256(f"{target(compiler())}{FLAGS}".encode()).hexdigest()[:16]
+    told = f"{target(compiler())}{flags(1)}{flags(2)}"
+    machine = hashlib.sha256(told.encode()).hexdigest()[:16]
     return cache_folder() / f"{name}-{machine}.so"
 
 
@@ -94,7 +104,10 @@ def _compile(cxx: str, source: Source, folder: Path, library: Path) -> None:
         (folder / f"{k}.cpp").write_text(f'#include "header.hpp"\n{body}')
         objects.append(folder / f"{k}.o")
     with ThreadPoolExecutor(os.cpu_count()) as pool:
-        jobs = [pool.submit(_run, [cxx, *FLAGS, "-c", str(o.with_suffix(".cpp")), "-o", str(o)]) for o in objects]
+        jobs = [
+            pool.submit(_run, [cxx, *flags(source.lanes), "-c", str(o.with_suffix(".cpp")), "-o", str(o)])
+            for o in objects
+        ]
         for job in jobs:
             job.result()
     made = folder / "made.so"

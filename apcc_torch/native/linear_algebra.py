@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from apcc_torch.native.scalars import FLOAT, INT
+from apcc_torch.native.scalars import BOOL, FLOAT, INT
 from apcc_torch.native.values import Arithmetic, Value, mapped
 
 Matrix = list[list[int]]
@@ -54,7 +54,7 @@ def cholesky(
     for A in _matrices(x.entries):
         n = len(A)
         L = [[zero] * n for _ in range(n)]
-        sound = constant(True, "b")
+        sound = constant(True, BOOL)
         for j in range(n):
             rest = [A[i][j] for i in range(n)]
             for k in range(j):
@@ -99,3 +99,43 @@ def cholesky_solve(a: Arithmetic, dtype: torch.dtype, x: Value, factor: Value, u
             columns.append(y)
         solutions.append([list(row) for row in zip(*columns, strict=True)])
     return Value(torch.tensor(solutions, dtype=torch.int64).reshape(shape), dtype)
+
+
+def solve_ex(
+    a: Arithmetic, dtype: list[torch.dtype], x: Value, y: Value, left: bool = True, check_errors: bool = False
+) -> list[Value]:
+    """x^-1 y by elimination with row pivots, and a number that is not zero where x is singular."""
+    make, constant = a.scalars.make, a.scalars.constant
+    if not left or y.entries.dim() < x.entries.dim():
+        raise NotImplementedError("only matrices on the right-hand side are solved for")
+    batch = torch.broadcast_shapes(x.entries.shape[:-2], y.entries.shape[:-2])
+    shape = (*batch, *y.entries.shape[-2:])
+    solutions, infos = [], []
+    matrices = _matrices(x.entries.expand(*batch, *x.entries.shape[-2:]))
+    for A, B in zip(matrices, _matrices(y.entries.expand(shape)), strict=True):
+        n = len(A)
+        rows = [[*left_row, *right_row] for left_row, right_row in zip(A, B, strict=True)]
+        regular = constant(True, BOOL)
+        for j in range(n):
+            for i in range(j + 1, n):
+                # The larger of two pivots comes first; which it is, is known only at run time.
+                swap = make("lt", make("abs", rows[j][j]), make("abs", rows[i][j]))
+                pairs = list(zip(rows[j], rows[i], strict=True))
+                rows[j] = [make("select", swap, q, p) for p, q in pairs]
+                rows[i] = [make("select", swap, p, q) for p, q in pairs]
+            regular = make("and", regular, make("ne", rows[j][j], constant(0.0, FLOAT)))
+            for i in range(j + 1, n):
+                factor = make("div", rows[i][j], rows[j][j])
+                rows[i] = [make("sub", p, make("mul", factor, q)) for p, q in zip(rows[i], rows[j], strict=True)]
+        for j in reversed(range(n)):
+            for k in range(n, len(rows[j])):
+                rest = rows[j][k]
+                for i in range(j + 1, n):
+                    rest = make("sub", rest, make("mul", rows[j][i], rows[i][k]))
+                rows[j][k] = make("div", rest, rows[j][j])
+        solutions.append([row[n:] for row in rows])
+        infos.append(make("select", regular, constant(0, INT), constant(1, INT)))
+    return [
+        Value(torch.tensor(solutions, dtype=torch.int64).reshape(shape), dtype[0]),
+        Value(torch.tensor(infos, dtype=torch.int64).reshape(batch), dtype[1]),
+    ]

@@ -26,7 +26,7 @@ from apcc_torch.native.entrywise import (
     threshold,
     where,
 )
-from apcc_torch.native.linear_algebra import cholesky, cholesky_solve, cross, product
+from apcc_torch.native.linear_algebra import cholesky, cholesky_solve, cross, product, solve_ex
 from apcc_torch.native.placing import (
     embedded,
     filled,
@@ -108,6 +108,7 @@ OPERATORS: dict[str, Operator] = {
     "aten.lerp": lerp,
     "aten.linalg_cholesky_ex": cholesky,
     "aten.linalg_cross": cross,
+    "aten.linalg_solve_ex": solve_ex,
     "aten.linalg_vector_norm": norm,
     "aten.log": entrywise("log", FLOAT),
     "aten.logical_and": logic("and"),

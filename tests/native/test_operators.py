@@ -53,7 +53,8 @@ CASES: dict[str, Callable[[Tensor, Tensor, Tensor, Tensor, Tensor], object]] = {
     "linear algebra": lambda x, p, A, c, v: (A @ A, A @ v, x.mT @ x, v @ x, torch.linalg.cross(x[:, 0], v),
                                             torch.linalg.cross(x, p, dim=0), torch.bmm(A, A), torch.mv(A[0], v)),
     "factors": lambda x, p, A, c, v: (torch.linalg.cholesky_ex(A)[0], torch.cholesky_solve(
-        x[:, :2].expand(2, 3, 2), torch.linalg.cholesky_ex(A)[0])),
+        x[:, :2].expand(2, 3, 2), torch.linalg.cholesky_ex(A)[0]),
+        torch.linalg.solve_ex(A - 1.0, x[:, :2].expand(2, 3, 2))[0]),
 }  # fmt: skip
 
 
