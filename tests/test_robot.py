@@ -24,7 +24,7 @@ PATIENT = (
     "loop.rate=20", "loop.warm_up=5", "loop.fresh_timeout=60", "loop.fresh_frames=1", "loop.hold=0.2",
     "plant.settle=0.1", "guards.overruns=100000", "guards.sensing.max_age=100", "guards.sensing.stale=100",
     "guards.sensing.dropout=100", "guards.sensing.max_speed=100", "guards.sensing.max_angular_rate=1000",
-    "guards.max_error=null", "experiment.duration=100",
+    "guards.max_error=null", "experiment.duration=100", "compile=off",
 )  # fmt: skip
 
 
@@ -97,7 +97,7 @@ def test_other_settings_replay_to_other_commands(
 
 
 def test_a_dry_run_moves_nothing(tmp_path: Path) -> None:
-    done = robot(tmp_path, "experiment=setpoint", "dry_run=true", "experiment.duration=0.5", *LOCKSTEP)
+    done = robot(tmp_path, "experiment=setpoint", "dry_run=true", "experiment.duration=0.5", "compile=off", *LOCKSTEP)
     assert done.returncode == 0, done.stderr
     tendons = read_log(tmp_path / "run" / "log.mcap").topic("/tendons")
     assert np.abs(tendons["y"]).max() == 0.0 and np.abs(tendons["sent"]).max() > 1e-3

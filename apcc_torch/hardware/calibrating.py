@@ -110,7 +110,7 @@ class SignCheck:
             if self.request.stop is not None:
                 raise Halt(self.request.stop)
             effort = self.actuator.read().effort
-            if self.effort_cap is not None and effort.max() > self.effort_cap:
+            if self.effort_cap is not None and not effort.max() <= self.effort_cap:
                 raise SafetyError(f"tendon {int(effort.argmax()) + 1} pulled with {effort.max():.0f} N")
             sent = self.actuator.send(self.limits.clamp(goal, sent, self.period))
             sample = self.sensor.latest()

@@ -30,8 +30,10 @@ class Loop:
         self.journal = journal
         self.guards = guards
         self.requested = self.sent = sent
-        self.sent_at = setup.clock.now()
-        self.started_at = self.sent_at + setup.loop.period
+        # What the motors may have been told last, and when, s. After a command that failed nobody knows: it may have
+        # come through all the same.
+        self.standing = [(sent, setup.clock.now())]
+        self.started_at = self.standing[0][1] + setup.loop.period
         self.ticks = 0
         self.overruns = 0
 
@@ -121,13 +123,17 @@ class Loop:
         """Sends what the limits leave of the last wish: one out of reach is approached turn by turn."""
         clock = self.setup.clock
         began = clock.now()
-        y = self.setup.limits.clamp(self.requested, self.sent, began - self.sent_at)
+        y = self.requested
+        # Each was within reach of those before it, so what is left is within reach of them all.
+        for last, at in self.standing:
+            y = self.setup.limits.clamp(y, last, began - at)
         try:
             self.sent = tick.sent = self.setup.actuator.send(y)
-            self.sent_at = began
+            self.standing = [(self.sent, began)]
             tick.fresh = True
             self.guards.on_sent()
         except CommunicationError as error:
+            self.standing.append((y, began))
             self.journal.event("exchange_failed", str(error))
             halt_if(self.guards.on_failed_send(error))
         ended = clock.now()

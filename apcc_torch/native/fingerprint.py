@@ -20,6 +20,8 @@ _PACKAGE = Path(__file__).resolve().parent.parent
 # Where the code of steps is; of a class from elsewhere its own file counts.
 _FOLDERS = ("control", "estimation", "lie", "model", "native", "simulation")
 _CORE = ("*.py", *(f"{folder}/**/*.[ph]*" for folder in _FOLDERS))
+# Their text says what they are.
+_PLAIN = (bool, int, float, complex, str, bytes, slice, range, Enum, torch.dtype, torch.device, torch.Size)
 # What nn.Module keeps for itself, none of which changes what `forward` computes.
 _BOOKKEEPING = frozenset(vars(nn.Module())) - {"_parameters", "_buffers", "_modules", "training"}
 
@@ -66,7 +68,7 @@ def _add(digest: Any, item: Any, where: str, per_row: dict[int, int]) -> None:
     elif isinstance(item, Tensor):
         digest.update(f"{item.dtype}{tuple(item.shape)}".encode())
         digest.update(item.detach().cpu().contiguous().flatten().view(torch.uint8).numpy().tobytes())
-    elif item is None or isinstance(item, (bool, int, float, str, Enum, torch.dtype, torch.device, torch.Size)):
+    elif item is None or isinstance(item, _PLAIN):
         digest.update(repr(item).encode())
     elif isinstance(item, (list, tuple)):
         for k, part in enumerate(item):

@@ -8,6 +8,7 @@ from pathlib import Path
 import apcc_torch
 from apcc_torch.hardware.stops import Ending, StopReason
 from composed import composed_realtime
+from hardware.faults import Fault, Left, full_disk
 
 PAGE = (Path(apcc_torch.__file__).resolve().parents[1] / "docs" / "hardware.md").read_text()
 DONE = {Ending.HOLD: "held", Ending.TORQUE_OFF: "let go"}
@@ -16,6 +17,13 @@ DONE = {Ending.HOLD: "held", Ending.TORQUE_OFF: "let go"}
 def test_the_table_of_stops_is_the_programs() -> None:
     rows = re.findall(r"^\| (\d+) \| `(\w+)` \| ([a-z ]+) \| (.+) \|$", PAGE, re.MULTILINE)
     assert rows == [(str(r.code), r.value, DONE[r.ending], r.meaning) for r in StopReason]
+
+
+def test_the_table_of_faults_is_that_of_the_tests() -> None:
+    left = {Left.HELD: "held", Left.LET_GO: "let go", Left.UNTOUCHED: "left as it was"}
+    rows = re.findall(r"^\| ([a-zA-Z ]+) \| `(\w+)` \| (\d+) \| ([a-z ]+).* \|$", PAGE, re.MULTILINE)
+    expected = [*Fault.every(), full_disk()]
+    assert rows == [(fault.name, fault.reason.value, str(fault.reason.code), left[fault.left]) for fault in expected]
 
 
 def test_every_key_it_names_exists() -> None:

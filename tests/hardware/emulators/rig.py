@@ -22,6 +22,7 @@ ZEROS = tuple(9000 * (motor - 15) + 17 for motor in MOTORS)  # many turns away f
 RADII = (0.01, 0.01, 0.01, 0.012, 0.012, 0.012, 0.02, 0.02, 0.02)
 SIGNS = (1, -1, 1, -1, 1, -1, 1, -1, 1)
 LOWER, UPPER = -0.12, 0.12  # m; the emulated tendons push as well
+STEP = 0.01  # m between two commands
 NAMES = {1: "base", 2: "disk_1", 3: "disk_3", 4: "disk_5"}
 
 
@@ -55,6 +56,7 @@ class EmulatedPlatform:
         self.servos.do("plug")
         self.servos.do("fresh")
         self.cameras.fault()
+        self.cameras.restart(version=(4, 1))
 
     @property
     def overrides(self) -> list[str]:
@@ -74,16 +76,23 @@ class EmulatedPlatform:
             "guards=simulated",
             f"guards.limits.lower={LOWER}",
             f"guards.limits.upper={UPPER}",
+            f"guards.limits.step={STEP}",
             *(f"hardware.dynamixel.{key}={_text(value)}" for key, value in motors.items()),
             *(f"hardware.optitrack.{key}={value}" for key, value in cameras.items()),
         ]
 
     def goals_in_limits(self) -> bool:
-        """Whether no motor was ever told to go outside the limits, by a rule of its own: whole ticks of arc length."""
+        """Whether no motor was ever told to go outside the limits, by a rule of its own: whole ticks of arc length.
+
+        The last goal may be that of a hold, which is where the motor was, however far it lagged behind.
+        """
         report = self.servos.report()
         for k, motor in enumerate(MOTORS):
             y = self.arm.metres_per_tick[k] * (np.array(report[motor]["goals"]) - ZEROS[k])
+            tick = abs(self.arm.metres_per_tick[k])
             if len(y) and (y.min() < LOWER - 1e-9 or y.max() > UPPER + 1e-9):
+                return False
+            if len(y) > 2 and np.abs(np.diff(y[:-1])).max() > STEP + tick:
                 return False
         return True
 

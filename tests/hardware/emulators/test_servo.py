@@ -74,6 +74,17 @@ def test_the_watchdog_stops_it_on_time_and_refuses_goals_until_it_is_cleared() -
     assert motor.write(116, (5).to_bytes(4, "little"), 3.0) == OK
 
 
+def test_it_tells_how_long_it_held_torque_after_its_last_goal() -> None:
+    motor = moving(0)
+    assert motor.held is None
+    motor.write(116, (5).to_bytes(4, "little"), 2.0)
+    for now in (3.5, 9.0):  # told to let go twice: the first time counts
+        motor.write(64, b"\x00", now)
+        assert motor.held == 1.5
+    motor.write(64, b"\x01", 10.0)
+    assert motor.held is None
+
+
 def test_a_restart_keeps_the_turn_and_loses_the_count() -> None:
     motor = Motor(1, 3 * 4096 + 5, 0.0)
     motor.write(168, (132).to_bytes(2, "little"), 0.0)

@@ -45,7 +45,7 @@ class ServoEmulator:
         return self._answer()
 
     def report(self) -> dict[int, dict[str, Any]]:
-        """Each motor's position, goal, torque, tripped, goals (every goal written), refused."""
+        """Each motor's position, goal, torque, tripped, held (`Motor.held`), goals (every goal written), refused."""
         return {int(identity): found for identity, found in self.do("report").items()}
 
     def close(self) -> None:

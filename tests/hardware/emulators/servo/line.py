@@ -185,6 +185,7 @@ class Line:
             "goal": motor.get(116, 4, True),
             "torque": motor.memory[TORQUE],
             "tripped": motor.memory[WATCHDOG] == 0xFF,
+            "held": motor.held,
             "goals": motor.goals,
             "refused": motor.refused,
             "bad_packets": self.parser.bad,

@@ -72,6 +72,8 @@ class Motor:
         self.tracks = False  # whether the goal follows the position while torque is off
         self.goals: list[int] = []  # every goal position that was written, taken or refused
         self.refused = 0
+        self.goal_time = now
+        self.held: float | None = None  # s between its last goal and the order to let go; None while it holds torque
         self.restart(now)
         self.position = float(position)  # turned since its start
         self._show(0.0)
@@ -165,6 +167,10 @@ class Motor:
                 self.position %= TICKS_PER_TURN
             if at == WATCHDOG and value == 0:
                 self.stopped = False
+            elif at == GOAL:
+                self.goal_time = now
+            elif at == TORQUE and value != before:
+                self.held = None if value else now - self.goal_time
         self.fed = now
         return OK
 

@@ -1,0 +1,243 @@
+"""The table of faults: how each is made on the emulated platform, and what the program has to make of it."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from enum import Enum, auto
+from pathlib import Path
+
+import numpy as np
+
+from apcc_torch.errors import ValueRangeError
+from apcc_torch.hardware.control import Decision
+from apcc_torch.hardware.stops import StopReason
+from hardware.emulators.rig import MOTORS, EmulatedPlatform
+from hardware.platform_runs import SLOW
+
+R = StopReason
+MOTOR = MOTORS[3]
+NAME = r"^motor 4 \(id 14\)"
+HOLD = 0.5  # s for which an arm is held that is to be held
+AT_ONCE = 60.0  # s for which one would be held that is to be let go at once
+
+
+class When(Enum):
+    """When a fault comes."""
+
+    BEFORE = auto()  # the program starts
+    UNDER_WAY = auto()  # the arm moves
+
+
+BEFORE, UNDER_WAY = When
+
+
+class Left(Enum):
+    """How the arm is left."""
+
+    HELD = auto()  # and let go after the hold
+    LET_GO = auto()  # at once
+    UNTOUCHED = auto()  # there was never any torque
+
+
+HELD, LET_GO, UNTOUCHED = Left
+
+
+@dataclass
+class Scene:
+    """A calibrated platform, and the way the controller is spoilt.
+
+    spoilt: What is made of every decision of the controller.
+    """
+
+    platform: EmulatedPlatform
+    calibration: Path
+    spoilt: Callable[[Decision], Decision] = field(default=lambda decision: decision)
+
+    @property
+    def folder(self) -> Path:
+        """Of the run."""
+        return self.calibration.parent / "run"
+
+
+Make = Callable[[Scene], object]
+
+
+@dataclass(frozen=True)
+class Fault:
+    """A row of the table.
+
+    make: Makes the fault. reason, said: The named reason, and what its sentence says. left: How the arm is left.
+    alone: Motors that nobody reaches any more; they keep their torque. torqued: Motors that had torque before.
+    settings: Keys that the fault needs.
+    """
+
+    name: str
+    make: Make
+    reason: StopReason
+    said: str
+    left: Left
+    when: When = UNDER_WAY
+    alone: tuple[int, ...] = ()
+    torqued: tuple[int, ...] = ()
+    settings: tuple[str, ...] = (SLOW,)
+
+    @staticmethod
+    def every() -> list[Fault]:
+        """The whole table."""
+        return [*MOTORS_WRONG, *CAMERAS_WRONG, *CONTROLLER_WRONG, *WRONG_FROM_THE_START]
+
+    @staticmethod
+    def survived(name: str, make: Make) -> Fault:
+        """One that the run outlives."""
+        settings = (SLOW, "experiment.duration=1.5")
+        return Fault(name, make, R.DURATION, "1.5 s are over", HELD, settings=settings)
+
+
+def full_disk() -> Fault:
+    """A disk that can take no more of the log; the program has to be in a process of its own."""
+    return Fault("a full disk", lambda scene: None, R.LOG_FAILED, "the log cannot be written", HELD)
+
+
+def servo(order: str, **details: float) -> Make:
+    """An order to the fourth motor."""
+    return lambda scene: scene.platform.servos.do(order, MOTOR, **details)
+
+
+def mocap(**faults: object) -> Make:
+    """A fault of the cameras."""
+    return lambda scene: scene.platform.cameras.fault(**faults)
+
+
+def version(*numbers: int) -> Make:
+    """Cameras that begin anew and speak another version."""
+    return lambda scene: scene.platform.cameras.restart(version=numbers)
+
+
+def controller(spoilt: Callable[[Decision], Decision]) -> Make:
+    """A controller whose decisions are spoilt from now on."""
+    return lambda scene: setattr(scene, "spoilt", spoilt)
+
+
+def not_finite(decision: Decision) -> Decision:
+    return replace(decision, y=np.where(np.arange(decision.y.size) == 3, math.nan, decision.y))
+
+
+def refusing(decision: Decision) -> Decision:
+    raise ValueRangeError("q must be finite")
+
+
+def buggy(decision: Decision) -> Decision:
+    raise IndexError("list index out of range")
+
+
+def slow(decision: Decision) -> Decision:
+    time.sleep(0.12)
+    return decision
+
+
+def far(decision: Decision) -> Decision:
+    return replace(decision, e=decision.e + 3.0)
+
+
+def failed(name: str, make: Make, said: str, alone: tuple[int, ...] = ()) -> Fault:
+    """Motors that cannot be understood any more."""
+    few = (SLOW, "guards.failed_exchanges=2")
+    return Fault(name, make, R.COMMUNICATION, said, LET_GO, alone=alone, settings=few)
+
+
+def reported(name: str, make: Make, said: str) -> Fault:
+    """A fault that the fourth motor tells."""
+    return Fault(name, make, R.DEVICE_FAULT, f"{NAME} {said}", LET_GO)
+
+
+def stale(name: str, make: Make, *settings: str) -> Fault:
+    """Frames of which none can be used."""
+    given = (SLOW, "guards.sensing.stale=0.3", *settings)
+    return Fault(name, make, R.SENSOR_STALE, "no usable frame for 0", HELD, settings=given)
+
+
+def dropped(name: str, make: Make, body: str) -> Fault:
+    """One body that cannot be used."""
+    given = (SLOW, "guards.sensing.dropout=0.3")
+    return Fault(name, make, R.SENSOR_DROPOUT, f"body {body} not usable", HELD, settings=given)
+
+
+def ended(name: str, make: Make, said: str) -> Fault:
+    """A source of poses that is no more."""
+    return Fault(name, make, R.SENSOR_LOST, said, HELD, settings=(SLOW, "hardware.optitrack.timeout=0.7"))
+
+
+def overrun(name: str, make: Make) -> Fault:
+    """A turn that takes longer than a period."""
+    given = (SLOW, "loop.rate=20", "guards.overruns=2", "guards.overrun_window=5")
+    return Fault(name, make, R.OVERRUN, "missed deadlines within 5 s", HELD, settings=given)
+
+
+def first(
+    name: str, make: Make, said: str, *settings: str, reason: StopReason = R.NOT_CONNECTED, torqued: int | None = None
+) -> Fault:
+    """A fault that is there before the program starts."""
+    had = () if torqued is None else (torqued,)
+    return Fault(name, make, reason, said, UNTOUCHED, BEFORE, torqued=had, settings=settings)
+
+
+BODIES = [2, 3, 4]
+FAR = (SLOW, "guards.max_error=3")
+
+
+def unplug(scene: Scene) -> object:
+    return scene.platform.servos.do("unplug")
+
+
+MOTORS_WRONG = [
+    failed("a motor that says nothing", servo("mute"), r"2 readings .*motor 4 \(id 14\): no reply", alone=(MOTOR,)),
+    failed("corrupt replies", servo("corrupt"), "motor 4 .*corrupt reply"),
+    failed("replies that are too short", servo("short", amount=2), "motor 4 .*12 bytes of data instead of 14"),
+    failed("the USB cable pulled out", unplug, "lost the port", alone=MOTORS),
+    reported("a hardware error bit", servo("poke", address=70, length=1, value=4), "reports overheating"),
+    reported("an overload", servo("overload"), "reports overload, and has let go"),
+    reported("a tripped bus watchdog", servo("trip"), "has stopped: its bus watchdog tripped"),
+    reported("a motor that lost power", servo("restart"), "has restarted and lost its zero"),
+    Fault("a pull above the limit", servo("load", current=500), R.OVER_EFFORT, "^tendon 4 pulled 14", HELD),
+    Fault("a pull above the cap", servo("load", current=1000), R.EFFORT_CAP, "^tendon 4 pulls 29", LET_GO),
+    overrun("replies too late for the loop", servo("late", amount=0.12)),
+]
+
+CAMERAS_WRONG = [
+    stale("no body tracked", mocap(untracked=BODIES)),
+    dropped("one body untracked", mocap(untracked=[3]), "2"),
+    stale("frozen poses", mocap(frozen=BODIES), "hardware.optitrack.frozen_frames=5"),
+    ended("a frozen frame number", mocap(frozen_number=True), "the frame number stays at"),
+    stale("late frames", mocap(delay=0.7)),
+    dropped("a body that jumps out of reach", mocap(jump={2: (0.3, 0, 0)}), "1"),
+    stale("a base that moves", mocap(jump={1: (0.1, 0, 0)})),
+    dropped("swapped bodies", mocap(swap=(2, 4)), "[13]"),
+    stale("poses that are not numbers", mocap(nan=BODIES)),
+    dropped("a zero quaternion", mocap(zero_quaternion=[3]), "2"),
+    ended("truncated datagrams", mocap(truncate=60), r"[1-9]\d* of them damaged"),
+    ended("a stream that stops", mocap(stop=True), "no new frame of motion capture"),
+    ended("an unknown version after a restart", version(5, 0), r"no new frame|NatNet 5\.0"),
+]
+
+CONTROLLER_WRONG = [
+    Fault("a command that is not finite", controller(not_finite), R.COMMAND_NOT_FINITE, "wants .*nan", HELD),
+    Fault("a controller that refuses its input", controller(refusing), R.CONTROLLER_ERROR, "q must be finite", HELD),
+    Fault("an error above its limit", controller(far), R.DIVERGENCE, "is 5.* m, the limit 3 m", HELD, settings=FAR),
+    Fault("an error in the program", controller(buggy), R.INTERNAL_ERROR, "IndexError: list index", LET_GO),
+    overrun("a controller that is too slow", controller(slow)),
+]
+
+WRONG_FROM_THE_START = [
+    first("a wrong model", servo("poke", address=0, length=2, value=1020), f"{NAME} is model 1020, not 1030"),
+    first("too old a firmware", servo("poke", address=6, length=1, value=37), f"{NAME} has firmware 37, older than 38"),
+    first("torque already on", servo("poke", address=64, length=1, value=1), f"{NAME} holds torque", torqued=MOTOR),
+    first("a hardware error from before", servo("poke", address=70, length=1, value=32), f"{NAME} reports overload"),
+    first("a motor that is not there", servo("mute"), f"{NAME}: no reply"),
+    first("no port", unplug, "servos"),
+    first("an unknown version", version(5, 0), r"streams NatNet 5\.0; known are 3\.0"),
+    first("no cameras", mocap(mute=True), "no NatNet server answers", "hardware.optitrack.connect_timeout=0.5"),
+    first("untracked from the start", mocap(untracked=[3]), "complete", "loop.fresh_timeout=0.5", reason=R.NOT_ARMED),
+]
