@@ -14,8 +14,11 @@ from apcc_torch.errors import ApccError
 from apcc_torch.estimation.savitzky_golay import SavitzkyGolay
 from apcc_torch.estimation.state_feedback import Feedback, FeedbackStatus, StateFeedback
 from apcc_torch.model.abscissae import decouple
+from apcc_torch.model.affine import AffineBackbone
 from apcc_torch.model.backbone import PCCBackbone
+from apcc_torch.model.constant_strain import ConstantStrainBackbone
 from apcc_torch.model.dynamics import SoftArmDynamics
+from apcc_torch.model.kinematic_model import KinematicModel
 from apcc_torch.model.tendons import TendonRouting
 from apcc_torch.simulation.metrics import shape_error
 
@@ -24,12 +27,15 @@ __version__ = "0.1.0"
 __all__ = [
     "APCCController",
     "AdaptiveLaw",
+    "AffineBackbone",
     "ApccError",
     "Command",
+    "ConstantStrainBackbone",
     "ControllerState",
     "Feedback",
     "FeedbackStatus",
     "InverseKinematics",
+    "KinematicModel",
     "Measurement",
     "PCCBackbone",
     "SavitzkyGolay",

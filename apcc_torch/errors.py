@@ -45,3 +45,7 @@ class SafetyError(HardwareError):
 
 class CompileError(ApccError, RuntimeError):
     """A function cannot be compiled: it cannot be traced, uses an operation without a rule, or no compiler is there."""
+
+
+class GradientError(ApccError, RuntimeError):
+    """A derivative was asked for that is not provided."""

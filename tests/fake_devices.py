@@ -51,6 +51,7 @@ class FakeActuator(TendonActuator):
         self.y = np.full(N_TENDONS, -0.002)
         self.torque = self.connected = self.held = False
         self.commands: list[tuple[float, np.ndarray, bool]] = []
+        self.armed = (self.y, 0.0)  # where it was, and when, as torque went on
 
     def connect(self) -> None:
         if self.faults.at("no_device", self.clock.now()):
@@ -67,7 +68,7 @@ class FakeActuator(TendonActuator):
     def arm(self) -> None:
         if self.faults.at("arm_fails", self.clock.now()):
             raise DeviceFaultError("motor 2 refuses torque")
-        self.torque = True
+        self.torque, self.armed = True, (self.y, self.clock.now())
         if self.faults.at("arm_moves", self.clock.now()):
             self.y = self.y - 0.01
 
@@ -80,7 +81,9 @@ class FakeActuator(TendonActuator):
         effort = np.full(N_TENDONS, 5.0)
         effort[4] += 60.0 * self.faults.at("effort", now) + 500.0 * self.faults.at("effort_peak", now)
         effort[6] -= 5.0 * self.faults.at("slack", now)
+        effort[1] += np.nan if self.faults.at("effort_nan", now) else 0.0
         y = self.y + 0.5 * self.faults.at("slipped", now)
+        y[8] += np.nan if self.faults.at("reading_nan", now) else 0.0
         return TendonReading(now, y, np.zeros(N_TENDONS), effort, {"position": [0] * N_TENDONS})
 
     def send(self, y: np.ndarray) -> np.ndarray:
@@ -88,6 +91,8 @@ class FakeActuator(TendonActuator):
             raise CommunicationError("the port is gone")
         self.commands.append((self.clock.now(), y.copy(), self.torque and not self.held))
         self.y = y.copy()
+        if self.faults.at("send_unsure", self.clock.now()):
+            raise CommunicationError("the port was gone as the packet ended")
         return y
 
     def hold(self) -> None:
@@ -176,6 +181,8 @@ class FakeStep:
         e = torch.full((3,), 0.1, dtype=torch.float64)
         if self.faults.at("wild", now):
             y = 10.0 * torch.sin(torch.arange(N_TENDONS) + 37.0 * now).double()
+        if self.faults.at("turned_round", now):
+            y = -y
         if self.faults.at("command_nan", now):
             y[3] = torch.nan
         if self.faults.at("diverged", now):

@@ -15,8 +15,8 @@ import commands
 from apcc_torch.conf_path import conf_path
 from composed import ON_AN_ARM
 
-HELP_GROUPS = ("experiment", "state", "robot", "plant", "sensors", "feedback", "velocity_filter", "controller")
-HELP_GROUPS += ("adaptation", "residual", "sweep", "hydra/launcher")
+HELP_GROUPS = ("experiment", "state", "robot", "model", "plant", "sensors", "feedback", "velocity_filter")
+HELP_GROUPS += ("controller", "adaptation", "residual", "sweep", "hydra/launcher")
 
 
 def simulate(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:

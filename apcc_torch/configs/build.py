@@ -8,6 +8,7 @@ from math import pi
 import torch
 from torch import Tensor
 
+from apcc_torch.configs.kinematic_model import kinematic_model
 from apcc_torch.configs.schema import PlantConfig, RobotConfig, SimulateConfig
 from apcc_torch.control.adaptation import AdaptiveLaw
 from apcc_torch.control.controller import APCCController
@@ -18,9 +19,10 @@ from apcc_torch.errors import ConfigError
 from apcc_torch.estimation.savitzky_golay import SavitzkyGolay
 from apcc_torch.estimation.sensor_curve import SensorCurve
 from apcc_torch.estimation.state_feedback import StateFeedback
-from apcc_torch.model.backbone import HANGING, PCCBackbone
+from apcc_torch.model.backbone import HANGING
 from apcc_torch.model.dynamics import SoftArmDynamics
 from apcc_torch.model.friction import TendonTransmission
+from apcc_torch.model.kinematic_model import KinematicModel
 from apcc_torch.model.stiffness import scaled_stiffness
 from apcc_torch.model.tendons import TendonRouting, rack_routing
 from apcc_torch.settings import Setting, aligned
@@ -129,9 +131,10 @@ class Builder:
         rotation = BASES[choice("robot.base", self.config.robot.base, tuple(BASES))]
         return torch.tensor(rotation, dtype=self.dtype, device=self.device)
 
-    def backbone(self) -> PCCBackbone:
-        """The model's backbone."""
-        return PCCBackbone(self.n_sections, self.base_rotation())
+    def backbone(self) -> KinematicModel:
+        """The kinematic model."""
+        m = self.config.model
+        return kinematic_model(m.kind, self.n_sections, self.base_rotation(), m.settings)
 
     def sensors_at(self) -> Tensor:
         """(k,) sensor abscissae, m."""
@@ -182,7 +185,13 @@ class Builder:
         )
         k = c.controller
         inverse_kinematics = InverseKinematics(
-            self.gain("controller.K", k.K, 3), k.damping, k.null_gain, k.epsilon, k.bend_rate, k.length_rate
+            self.gain("controller.K", k.K, 3),
+            k.damping,
+            k.null_gain,
+            k.epsilon,
+            k.bend_rate,
+            k.length_rate,
+            backbone.coordinates,
         )
         return APCCController(
             backbone,

@@ -137,7 +137,7 @@ class RealtimeBuilder:
     def layouts(self) -> Layouts:
         """The messages of the run's log."""
         routing, build = self.model.routing(), self.model
-        return layouts(3 * build.n_sections, build.n_sections, build.sensors_at().shape[0], routing.n_tendons)
+        return layouts(build.backbone().n, build.n_sections, build.sensors_at().shape[0], routing.n_tendons)
 
     def _tendons(self, key: str, value: object) -> Array:
         n_a = self.model.routing().n_tendons

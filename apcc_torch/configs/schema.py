@@ -10,7 +10,7 @@ from omegaconf import MISSING
 
 @dataclass
 class RobotConfig:
-    """The model: what the controller believes about the arm."""
+    """What the controller believes about the arm: its sections, sensors and tendons."""
 
     rest_lengths: list[float] = MISSING
     initial_estimate: list[float] | None = None
@@ -21,6 +21,14 @@ class RobotConfig:
     tendons_per_rack: int = 3
     rack_twist: float = 0.5235987755982988
     layout: str = "coupled"
+
+
+@dataclass
+class ModelConfig:
+    """The kinematic model of the robot: a class, and its own settings."""
+
+    kind: str = "apcc_torch.model.backbone.PCCBackbone"
+    settings: dict[str, Any] = field(default_factory=dict)
 
 
 @dataclass
@@ -178,6 +186,7 @@ class ArmConfig:
     """What a run has, in simulation and on an arm alike."""
 
     robot: RobotConfig = field(default_factory=RobotConfig)
+    model: ModelConfig = field(default_factory=ModelConfig)
     plant: PlantConfig = field(default_factory=PlantConfig)
     sensors: SensorsConfig = field(default_factory=SensorsConfig)
     feedback: FeedbackConfig = field(default_factory=FeedbackConfig)

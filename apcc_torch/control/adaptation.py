@@ -154,4 +154,4 @@ def _cumulative_reach(reach: float | Tensor, n_sections: int) -> Tensor:
     check_finite("reach", check_tensor("reach", reach, (n_sections,)))
     if bool((reach < 0).any()) or bool((reach.diff() < 0).any()) or not bool((reach[..., -1] > 0).all()):
         raise ValueRangeError(f"reach must be not negative, not decreasing and end positive, got {reach.tolist()}")
-    return reach.detach().clone()
+    return reach.clone()

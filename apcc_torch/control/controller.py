@@ -13,9 +13,7 @@ from apcc_torch.control.signals import Command, ControllerState, Measurement, Ta
 from apcc_torch.errors import ValueRangeError
 from apcc_torch.estimation.savitzky_golay import SavitzkyGolay
 from apcc_torch.estimation.state_feedback import Inference, StateFeedback
-from apcc_torch.model.backbone import PCCBackbone, split_configuration
-from apcc_torch.model.chain import Chain, tip_jacobian
-from apcc_torch.model.regressor import jacobian_rate
+from apcc_torch.model.kinematic_model import KinematicModel, Placed
 from apcc_torch.model.tendons import TendonRouting
 from apcc_torch.settings import Setting, check_setting, hold
 from apcc_torch.shapes import batch_shape, check_same, check_tensor
@@ -43,8 +41,8 @@ class APCCController(nn.Module):
         adaptive: Whether the law runs.
         velocity: qdot of the regressor: "measured", the filtered derivative of q_bar as in the paper, or "commanded",
             the controller's own last qdot, which has neither lag nor noise but trusts the arm to follow.
-        bend_bound: Bound on every bend of q_d, rad, a number or (...) one a row; None for no bound.
-        elongation_bound: Bound on every elongation of q_d, m, likewise; None for no bound.
+        bend_bound: Bound on every angle of q_d, rad, a number or (...) one a row; None for no bound.
+        elongation_bound: Bound on every length of q_d, m, likewise; None for no bound.
         reference_damping: T in y = B_hat^T (q_d - T qdot_bar), s. It damps the arm's swinging, which K alone, acting
             through an integral, excites once it exceeds twice the damping rate of the slowest mode. 0 for Eq. (49).
         integration_limit: Longest step that is integrated, s: after a pause the controller goes on, it does not leap.
@@ -59,7 +57,7 @@ class APCCController(nn.Module):
 
     def __init__(
         self,
-        backbone: PCCBackbone,
+        backbone: KinematicModel,
         feedback: StateFeedback,
         velocity_filter: SavitzkyGolay,
         inverse_kinematics: InverseKinematics,
@@ -103,7 +101,7 @@ class APCCController(nn.Module):
         """State before the first measurement.
 
         Args:
-            q: (..., 3 n_b) first guess of the configuration, also the first q_d.
+            q: (..., n) first guess of the configuration, also the first q_d.
             pi_hat: (..., n_b) first estimates, m.
             time: (...) s; None for 0.
 
@@ -151,7 +149,7 @@ class APCCController(nn.Module):
             chain, followed = self.backbone.chain(q_bar.expand(*batch, q_bar.shape[-1]), pi_hat), None
         x, tip_seen = self._measured_tip(measurement, chain.tip)
         e = target.x_d - x
-        qdot = self.inverse_kinematics(tip_jacobian(chain), e, target.xdot_d.expand_as(e), q_bar)
+        qdot, limits = self._solve(state, measurement, target, q_bar, chain, e, dt)
         q_d = self._bounded(state.q_d + dt.unsqueeze(-1) * qdot)
         # A step that is not finite is not taken: one bad measurement or target must not stay in the integral.
         q_d = torch.where(torch.isfinite(q_d), q_d, state.q_d)
@@ -166,12 +164,25 @@ class APCCController(nn.Module):
                 )
             # Where the tip is not measured e is the model's own, and teaches nothing of the model.
             pi_hat = self.law(pi_hat, Y, torch.where(tip_seen.unsqueeze(-1), e, 0.0), dt, other)
-        y = None if self.routing is None else self.routing.lengths(q_d - self.reference_damping * qdot_bar, pi_hat)
+        y = self.tendons(q_d - self.reference_damping * qdot_bar, pi_hat)
         later = ControllerState(q_bar, qdot_bar, pi_hat, q_d, qdot, filtered, measurement.time.expand_as(dt), evidence)
-        return later, Command(qdot, q_d, y, e, inference.feedback)
+        return later, Command(qdot, q_d, y, e, inference.feedback, limits)
+
+    def _solve(
+        self,
+        state: ControllerState,
+        measurement: Measurement,
+        target: Target,
+        q_bar: Tensor,
+        chain: Placed,
+        e: Tensor,
+        dt: Tensor,
+    ) -> tuple[Tensor, Tensor | None]:
+        """qdot (..., n) of Eq. (16), with the model's chain at (q_bar, pi_hat), and `Command.limits`."""
+        return self.inverse_kinematics(chain.tip_jacobian(), e, target.xdot_d.expand_as(e), q_bar), None
 
     def _regressor_on(
-        self, chain: Chain, followed: Tensor | None, q_bar: Tensor, qdot: Tensor, batch: torch.Size
+        self, chain: Placed, followed: Tensor | None, q_bar: Tensor, qdot: Tensor, batch: torch.Size
     ) -> Tensor:
         """The law's Y (..., 3, n_b) along qdot, on the chain of this step."""
         if self.law.regressor == "none":
@@ -179,8 +190,7 @@ class APCCController(nn.Module):
         if self.law.regressor == "partial":
             return self.backbone.regressor(q_bar, qdot)[0]
         assert followed is not None
-        rate = jacobian_rate(chain, split_configuration(qdot.expand(*batch, qdot.shape[-1])))
-        return _total_regressor(rate, followed)
+        return self._total_regressor(chain.jacobian_rate(qdot.expand(*batch, qdot.shape[-1])), followed)
 
     def _residual_velocity(
         self, inference: Inference, followed: Tensor, T: Tensor, dt: Tensor, evidence: Evidence | None
@@ -224,7 +234,7 @@ class APCCController(nn.Module):
         if self.law.regressor == "partial":
             return self.backbone.regressor(q, qdot)[0]
         followed = self.feedback.sensitivity(q, pi_hat, mask, angular_mask)
-        return _total_regressor(self.backbone.tip_jacobian_rate(q, qdot, pi_hat), followed)
+        return self._total_regressor(self.backbone.tip_jacobian_rate(q, qdot, pi_hat), followed)
 
     def _measured_tip(self, measurement: Measurement, x_hat: Tensor) -> tuple[Tensor, Tensor]:
         """The end effector and whether it was measured; the model's where the measurement is masked or not finite."""
@@ -237,14 +247,18 @@ class APCCController(nn.Module):
                 seen = seen & measurement.mask[..., -1]
         return torch.where(seen.unsqueeze(-1), x, x_hat), seen
 
+    def tendons(self, q: Tensor, pi_hat: Tensor) -> Tensor | None:
+        """Tendon length changes (..., n_a), m, that a configuration q (..., n) means; None without a routing."""
+        return None if self.routing is None else self.backbone.tendon_lengths(self.routing, q, pi_hat)
+
     def _bounded(self, q_d: Tensor) -> Tensor:
         if self.bend_bound is None and self.elongation_bound is None:
             return q_d
-        x, y, dL = q_d.unflatten(-1, (-1, 3)).unbind(-1)
-        x, y, dL = within(x, self.bend_bound), within(y, self.bend_bound), within(dL, self.elongation_bound)
-        return torch.stack((x, y, dL), dim=-1).flatten(-2)
+        coordinates = self.backbone.coordinates
+        bounds = {"rad": self.bend_bound, "m": self.elongation_bound}
+        entries = zip(coordinates.of_pattern(q_d).unbind(-1), coordinates.pattern, strict=True)
+        return torch.stack([within(entry, bounds[c.unit]) for entry, c in entries], dim=-1).flatten(-2)
 
-
-def _total_regressor(rate: Tensor, followed: Tensor) -> Tensor:
-    """Y + d(J qdot)/dq dq_bar/dpi (..., 3, n_b) from Jdot (..., 3, 3 n_b), whose columns of delta L are Y, Eq. (8)."""
-    return rate[..., 2::3] + rate @ followed
+    def _total_regressor(self, rate: Tensor, followed: Tensor) -> Tensor:
+        """Y + d(J qdot)/dq dq_bar/dpi (..., 3, n_b) from Jdot (..., 3, n), whose columns of delta L are Y, Eq. (8)."""
+        return rate[..., self.backbone.coordinates.elongations] + rate @ followed

@@ -28,10 +28,10 @@ def gain_matrix(name: str, gain: float | Tensor, n: int) -> Tensor:
         value = torch.diag_embed(check_tensor(name, value, (n,)))
     check_tensor(name, value, (n, n))
     check_finite(name, value)
-    asymmetry = (value - value.mT).abs().amax()
-    if float(asymmetry) > 1e-6 * float(value.abs().amax()):
+    number = value.detach()
+    if float((number - number.mT).abs().amax()) > 1e-6 * float(number.abs().amax()):
         raise ValueRangeError(f"{name} must be symmetric")
-    lowest = float(torch.linalg.eigvalsh(value).amin())
+    lowest = float(torch.linalg.eigvalsh(number).amin())
     if lowest <= 0:
         raise ValueRangeError(f"{name} must be positive definite, its lowest eigenvalue is {lowest:g}")
-    return value.detach().clone()
+    return value.clone()

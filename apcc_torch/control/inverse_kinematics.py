@@ -7,27 +7,28 @@ from torch import Tensor, nn
 
 from apcc_torch.control.gain import gain_matrix
 from apcc_torch.linalg import damped_pseudo_inverse
+from apcc_torch.model.coordinates import CONSTANT_CURVATURE, Coordinates
 from apcc_torch.settings import Setting, aligned, check_setting, hold, hold_rows
 from apcc_torch.shapes import check_same, check_tensor
 
 
-def elongation_cost(q: Tensor, epsilon: float = 0.0) -> Tensor:
-    """Psi (...) = ||dL||_2, m, of configurations (..., 3 n_b). Eq. (50) [Dalenberg].
+def elongation_cost(q: Tensor, epsilon: float = 0.0, coordinates: Coordinates = CONSTANT_CURVATURE) -> Tensor:
+    """Psi (...) = ||dL||_2, m, of configurations (..., n). Eq. (50) [Dalenberg].
 
     Args:
-        q: (..., 3 n_b).
+        q: (..., n).
         epsilon: m. Psi = sqrt(|dL|^2 + eps^2) - eps has a gradient at dL = 0, where the printed norm has none.
+        coordinates: What q is made of.
     """
-    squared = q[..., 2::3].square().sum(-1)
+    squared = q[..., coordinates.elongations].square().sum(-1)
     return torch.sqrt(squared + epsilon**2) - epsilon  # Eq. (50)
 
 
-def elongation_gradient(q: Tensor, epsilon: Setting) -> Tensor:
-    """Gradient of the smoothed `elongation_cost`, (..., 3 n_b): dL / sqrt(|dL|^2 + eps^2) on the elongations."""
-    dL = q[..., 2::3]
+def elongation_gradient(q: Tensor, epsilon: Setting, coordinates: Coordinates = CONSTANT_CURVATURE) -> Tensor:
+    """Gradient of the smoothed `elongation_cost`, (..., n): dL / sqrt(|dL|^2 + eps^2) on the elongations."""
+    dL = q[..., coordinates.elongations]
     slope = dL / torch.sqrt(dL.square().sum(-1, keepdim=True) + aligned(epsilon, 1) ** 2)
-    zero = torch.zeros_like(slope)
-    return torch.stack((zero, zero, slope), dim=-1).flatten(-2)
+    return coordinates.on_elongations(slope)
 
 
 class InverseKinematics(nn.Module):
@@ -40,9 +41,10 @@ class InverseKinematics(nn.Module):
         damping: Damping of the pseudo-inverse, m per rad: J^T (J J^T + damping^2 I)^-1. 0 for the exact one.
         null_gain: Weight of the null-space term, m/s: grad_Psi is minus this times the unit gradient of Psi.
         epsilon: Smoothing of Psi at dL = 0, m.
-        bend_rate: Bound on every bend's rate, rad/s; None for no bound. A row over a bound is scaled whole, which keeps
-            the direction of its task velocity.
-        length_rate: Bound on every elongation's rate, m/s; None for no bound.
+        bend_rate: Bound on every angle's rate, rad/s; None for no bound. A row over a bound is scaled whole, which
+            keeps the direction of its task velocity.
+        length_rate: Bound on every length's rate, m/s; None for no bound.
+        coordinates: What q is made of: the model's. Coordinates that are not driven get no velocity.
 
     Raises:
         ValueRangeError: K is not positive definite, or a setting is negative or not finite.
@@ -63,8 +65,10 @@ class InverseKinematics(nn.Module):
         epsilon: Setting = 5e-3,
         bend_rate: Setting | None = None,
         length_rate: Setting | None = None,
+        coordinates: Coordinates = CONSTANT_CURVATURE,
     ) -> None:
         super().__init__()
+        self.coordinates = coordinates
         hold_rows(self, K=(gain_matrix("K", K, 3), 2))
         for name, value in {"damping": damping, "null_gain": null_gain}.items():
             check_setting(name, value, zero=True)
@@ -90,21 +94,27 @@ class InverseKinematics(nn.Module):
         check_tensor("xdot_d", xdot_d, (3,))
         check_tensor("q", q, (J_hat.shape[-1],))
         check_same(J_hat=J_hat, e=e, xdot_d=xdot_d, q=q)
+        J_hat = self.coordinates.driven(J_hat)
         K = self.K.to(dtype=e.dtype, device=e.device)
         J_pinv = damped_pseudo_inverse(J_hat, aligned(self.damping, 2))
         velocity = xdot_d.unsqueeze(-1) + K @ e.unsqueeze(-1)
-        descent = (aligned(-self.null_gain, 1) * elongation_gradient(q, self.epsilon)).unsqueeze(-1)
+        descent = self.descent(q).unsqueeze(-1)
         # Eq. (16), with J^+ (v - J descent) + descent for J^+ v + (I - J^+ J) descent: one product fewer.
         qdot = (J_pinv @ (velocity - J_hat @ descent) + descent).squeeze(-1)
-        return self._bounded(qdot)
+        return self.bounded(qdot)
 
-    def _bounded(self, qdot: Tensor) -> Tensor:
+    def descent(self, q: Tensor) -> Tensor:
+        """grad_Psi (..., n) of Eq. (16) at q (..., n): minus the null gain times the gradient of the smoothed Psi."""
+        return aligned(-self.null_gain, 1) * elongation_gradient(q, self.epsilon, self.coordinates)
+
+    def bounded(self, qdot: Tensor) -> Tensor:
+        """qdot (..., n), each row over a bound scaled whole."""
         if self.bend_rate is None and self.length_rate is None:
             return qdot
-        peak = qdot.unflatten(-1, (-1, 3)).abs().amax(-2)
+        peak = self.coordinates.of_pattern(qdot).abs().amax(-2)
         excess = torch.ones_like(peak[..., 0])
         if self.bend_rate is not None:
-            excess = torch.maximum(excess, peak[..., :2].amax(-1) / self.bend_rate)
+            excess = torch.maximum(excess, peak[..., self.coordinates.angular].amax(-1) / self.bend_rate)
         if self.length_rate is not None:
-            excess = torch.maximum(excess, peak[..., 2] / self.length_rate)
+            excess = torch.maximum(excess, peak[..., self.coordinates.linear].amax(-1) / self.length_rate)
         return qdot / excess.unsqueeze(-1)

@@ -25,8 +25,7 @@ from apcc_torch.estimation.sensor_curve import SensorCurve
 from apcc_torch.lie import se3
 from apcc_torch.linalg import solve_spd
 from apcc_torch.model.abscissae import located
-from apcc_torch.model.backbone import PCCBackbone
-from apcc_torch.model.chain import body_jacobian
+from apcc_torch.model.kinematic_model import KinematicModel
 from apcc_torch.settings import hold_rows
 from apcc_torch.shapes import check_finite, check_tensor
 
@@ -135,7 +134,7 @@ class ResidualLaw(nn.Module):
         self.excitation = excitation
         self.memory = memory
         self.rate = rate
-        hold_rows(self, nominal=(nominal.detach().clone(), 1), gains=(gains.detach().clone(), 1))
+        hold_rows(self, nominal=(nominal.clone(), 1), gains=(gains.clone(), 1))
 
     @property
     def needs_orientations(self) -> bool:
@@ -150,15 +149,15 @@ class ResidualLaw(nn.Module):
         return Evidence(pi_hat.new_zeros(*pi_hat.shape, n_b), torch.zeros_like(pi_hat))
 
     def residual(
-        self, backbone: PCCBackbone, q: Tensor, pi: Tensor, followed: Tensor, T: Tensor, abscissae: Tensor
+        self, backbone: KinematicModel, q: Tensor, pi: Tensor, followed: Tensor, T: Tensor, abscissae: Tensor
     ) -> Residual:
         """The target's residual at (q, pi), all of one leading shape; unchecked.
 
         Args:
             backbone: The model.
-            q: (..., 3 n_b) q_bar.
+            q: (..., n) q_bar.
             pi: (..., n_b) m.
-            followed: (..., 3 n_b, n_b) dq_bar/dpi, from `StateFeedback.sensitivity`.
+            followed: (..., n, n_b) dq_bar/dpi, from `StateFeedback.sensitivity`.
             T: (..., k, 4, 4) measured poses.
             abscissae: (k,) of the sensors, m.
         """
@@ -166,7 +165,7 @@ class ResidualLaw(nn.Module):
         X = X.expand(*pi.shape[:-1], X.shape[-1])
         points = backbone.material_points(pi, *located(X, pi))
         chain = backbone.chain_to(q, points)
-        body = body_jacobian(chain, points.fraction)
+        body = chain.body_jacobian()
         moved = body @ followed.unsqueeze(-3) + backbone.parameter_columns(q, pi, X, points, body)
         if self.curve is None:
             twist = se3.log(se3.inverse(se3.pose(chain.rotation, chain.tip)) @ T)
@@ -180,7 +179,7 @@ class ResidualLaw(nn.Module):
 
     def forward(
         self,
-        backbone: PCCBackbone,
+        backbone: KinematicModel,
         q: Tensor,
         pi: Tensor,
         followed: Tensor,
@@ -212,7 +211,7 @@ class ResidualLaw(nn.Module):
             values, directions = torch.linalg.eigh(H)
             followed_ones = directions * (values > self.excitation**2).to(H.dtype).unsqueeze(-2)
             g = (followed_ones @ (directions.mT @ g.unsqueeze(-1))).squeeze(-1)
-        step = self._step(H, g, q, pi, followed)
+        step = self._step(backbone, H, g, q, pi, followed)
         velocity = self.gains.to(pi) * step / self.time_constant
         velocity = velocity / (velocity.abs().amax(-1, keepdim=True) / self.rate).clamp(min=1.0)
         velocity = torch.where(good.unsqueeze(-1), velocity, 0.0)
@@ -221,14 +220,15 @@ class ResidualLaw(nn.Module):
         moved = (H_data @ (dt.unsqueeze(-1) * velocity).unsqueeze(-1)).squeeze(-1)
         return velocity, Evidence(H_data, g_data - moved)
 
-    def _step(self, H: Tensor, g: Tensor, q: Tensor, pi: Tensor, followed: Tensor) -> Tensor:
+    def _step(self, backbone: KinematicModel, H: Tensor, g: Tensor, q: Tensor, pi: Tensor, followed: Tensor) -> Tensor:
         """The damped Gauss-Newton step of V (..., n_b), m."""
         n_b = pi.shape[-1]
         mu2, kappa2, sigma2 = self.elongation_weight**2, self.nominal_weight**2, self.total_weight**2
         identity = torch.eye(n_b, dtype=pi.dtype, device=pi.device)
         short = self.nominal.to(pi) - pi
-        stretched = followed[..., 2::3, :]
+        elongations = backbone.coordinates.elongations
+        stretched = followed[..., elongations, :]
         H = H + mu2 * (stretched.mT @ stretched) + (kappa2 + self.damping**2) * identity + sigma2
-        g = g - mu2 * (stretched.mT @ q[..., 2::3].unsqueeze(-1)).squeeze(-1)
+        g = g - mu2 * (stretched.mT @ q[..., elongations].unsqueeze(-1)).squeeze(-1)
         g = g + kappa2 * short + sigma2 * short.sum(-1, keepdim=True)
         return solve_spd(H, g.unsqueeze(-1)).squeeze(-1)

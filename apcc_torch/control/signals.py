@@ -7,6 +7,7 @@ from typing import NamedTuple
 from torch import Tensor
 
 from apcc_torch.control.residual_adaptation import Evidence
+from apcc_torch.control.tasks import TaskTarget
 from apcc_torch.estimation.savitzky_golay import SavitzkyGolayState
 from apcc_torch.estimation.state_feedback import Feedback
 
@@ -33,10 +34,12 @@ class Target(NamedTuple):
 
     x_d: (..., 3) desired position, world frame, m.
     xdot_d: (..., 3) desired velocity, m/s.
+    tasks: What each further task of a `TaskController` should reach, in the order of its stack; None for none.
     """
 
     x_d: Tensor
     xdot_d: Tensor
+    tasks: tuple[TaskTarget, ...] | None = None
 
 
 class Command(NamedTuple):
@@ -47,6 +50,7 @@ class Command(NamedTuple):
     y: (..., n_a) tendon length changes B_hat^T q_d, Eq. (49), m; None without tendons.
     e: (..., 3) position error x_d - x, m.
     feedback: What algorithm 2 returned.
+    limits: (...) `SolverStatus` of the velocity where tendon limits are in force; None elsewhere.
     """
 
     qdot: Tensor
@@ -54,6 +58,7 @@ class Command(NamedTuple):
     y: Tensor | None
     e: Tensor
     feedback: Feedback
+    limits: Tensor | None = None
 
 
 class ControllerState(NamedTuple):

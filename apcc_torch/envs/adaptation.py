@@ -15,7 +15,6 @@ from apcc_torch.envs.arm import Arm
 from apcc_torch.estimation.savitzky_golay import SavitzkyGolay
 from apcc_torch.estimation.state_feedback import StateFeedback
 from apcc_torch.model.abscissae import decouple
-from apcc_torch.model.backbone import PCCBackbone
 
 GAMMA = (9.0, 4.25, 3.5)
 """Adaptation gains Gamma of a zero action; one decade up they are the paper's of section V-A."""
@@ -46,7 +45,7 @@ class AdaptiveLoop(nn.Module):
         n_b = arm.n_sections
         nominal = arm.lengths(like)
         ends = nominal.cumsum(-1)
-        backbone = PCCBackbone(n_b, arm.base(like))
+        backbone = arm.model(n_b, base_rotation=arm.base(like))  # type: ignore[call-arg]
         self.limits = limits
         self.per_rack = arm.tendons_per_rack
         self.routed = dynamics == "dynamic"
@@ -63,7 +62,11 @@ class AdaptiveLoop(nn.Module):
             backbone,
             StateFeedback(backbone, ends, mode="position"),
             SavitzkyGolay(3, 1),  # the commanded velocity is used
-            InverseKinematics(TASK_GAIN[dynamics], null_gain=1.0 if dynamics == "kinematic" else 0.2).to(like),
+            InverseKinematics(
+                TASK_GAIN[dynamics],
+                null_gain=1.0 if dynamics == "kinematic" else 0.2,
+                coordinates=backbone.coordinates,
+            ).to(like),
             law,
             routing=arm.routing(like) if self.routed else None,
             velocity="commanded",
@@ -85,8 +88,7 @@ class AdaptiveLoop(nn.Module):
         # A hanging arm without bends: each section of the model stretches to where its sensor is.
         depth = -seen[..., 2]
         stretch = depth.diff(dim=-1, prepend=torch.zeros_like(depth[..., :1])) - pi_hat
-        still = torch.zeros_like(stretch)
-        q = torch.stack((still, still, stretch), dim=-1).flatten(-2)
+        q = self.controller.backbone.coordinates.on_elongations(stretch)
         return self.controller.initial_state(q, pi_hat)._replace(q_d=torch.zeros_like(q))
 
     def forward(

@@ -9,8 +9,9 @@ import torch
 from torch import Tensor
 
 from apcc_torch.control.pid import TendonPID
-from apcc_torch.model.backbone import HANGING
+from apcc_torch.model.backbone import HANGING, PCCBackbone
 from apcc_torch.model.dynamics import SoftArmDynamics
+from apcc_torch.model.kinematic_model import KinematicModel
 from apcc_torch.model.stiffness import scaled_stiffness
 from apcc_torch.model.tendons import TendonRouting, rack_routing
 
@@ -32,6 +33,8 @@ class Arm:
     K_P, K_I, K_D: of the tendon loop, N/m, N/(m s), N s/m.
     tendon_damping: N s/m, friction of each tendon in its guides.
     substeps: Plant steps in one control period of 10 ms. One is within 0.05 mm of eight (conf takes two).
+    model: Of the controller that drives the dynamic arm with `action="adaptation"`: a class that is made from a number
+        of sections and a base rotation. What else acts, and the kinematic arm, has constant curvature.
     """
 
     rest_lengths: tuple[float, ...] = (0.105, 0.255, 0.240)
@@ -49,6 +52,7 @@ class Arm:
     K_D: float = 5.0
     tendon_damping: float = 200.0
     substeps: int = 1
+    model: type[KinematicModel] = PCCBackbone
 
     @property
     def n_sections(self) -> int:

@@ -25,6 +25,7 @@ from apcc_torch.envs.sensing import Readings, Sensing
 from apcc_torch.envs.streams import Stream
 from apcc_torch.envs.tasks import DISTANCE, POSITION, SPEED, TASKS, Goal, Task
 from apcc_torch.errors import ConfigError, ValueRangeError
+from apcc_torch.model.backbone import PCCBackbone
 
 DYNAMICS = ("kinematic", "dynamic")
 TENDON = 0.5
@@ -64,7 +65,8 @@ class EnvState(NamedTuple):
     """Everything about N rows between two steps.
 
     rows: What was drawn at their resets. goal: The task's.
-    arm: Of the kinematic or the dynamic arm. q_d: (N, 9). y: (N, 9) tendon references, m.
+    arm: Of the kinematic or the dynamic arm. q_d: (N, 9), (N, n) of a controller with another model.
+    y: (N, 9) tendon references, m.
     controller: Of the adaptive loop; None without one.
     readings: Of the sensors. stream: Their random numbers. step: (N,) int64 since the reset.
     """
@@ -121,6 +123,8 @@ class Setup:
             raise ConfigError(f"task must be one of {', '.join(TASKS)}, got {self.task!r}")
         if self.dynamics not in DYNAMICS:
             raise ConfigError(f"dynamics must be one of {', '.join(DYNAMICS)}, got {self.dynamics!r}")
+        if self.dynamics == "kinematic" and self.arm.model is not PCCBackbone:
+            raise ConfigError("model must be PCCBackbone where the arm is kinematic: it follows q_d itself")
         for name in ("control_rate", "substeps", "max_episode_steps"):
             value = getattr(self, name)
             if value is not None and not 0 < value < float("inf"):
@@ -172,13 +176,12 @@ class Simulator(nn.Module):
         arm = self.arm.initial(rows)
         points = self.arm.points(arm, rows)
         stream, readings = self.sensing.initial(_sensors(points).flatten(1), rows, stream)
-        q_d = torch.zeros_like(lengths).repeat_interleave(3, dim=-1)
-        controller = None
+        q_d, controller = torch.zeros_like(lengths).repeat_interleave(3, dim=-1), None
+        y = q_d @ self.B
         if self.loop is not None:
             controller = self.loop.initial(readings.seen.unflatten(-1, (-1, 3)), rows.lengths, rows.estimate)
-        return EnvState(
-            rows, goal, arm, q_d, q_d @ self.B, controller, readings, stream, torch.zeros_like(stream.drawn)
-        )
+            q_d = controller.q_d
+        return EnvState(rows, goal, arm, q_d, y, controller, readings, stream, torch.zeros_like(stream.drawn))
 
     def view(self, state: EnvState) -> View:
         """What the state looks like."""

@@ -124,8 +124,8 @@ class Track(Reach):
 
     def features(self, goal: Goal, time: Tensor, sensors: Tensor) -> Tensor:
         """The target, the way there, and the target's velocity."""
-        x_d, xdot_d = self.target(goal, time)
-        return torch.cat((x_d, x_d - sensors[:, -1], xdot_d), dim=-1)
+        target = self.target(goal, time)
+        return torch.cat((target.x_d, target.x_d - sensors[:, -1], target.xdot_d), dim=-1)
 
     def bounds(self) -> list[float]:
         """Those of `Reach`, and three velocities."""

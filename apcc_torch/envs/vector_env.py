@@ -20,6 +20,8 @@ from apcc_torch.envs.rows import replaced, select, taken
 from apcc_torch.envs.simulator import EnvState, Outcome, Setup, Simulator, View
 from apcc_torch.envs.streams import streams
 from apcc_torch.errors import ConfigError, DtypeError, ShapeError, ValueRangeError
+from apcc_torch.model.backbone import PCCBackbone
+from apcc_torch.model.kinematic_model import KinematicModel
 
 DTYPES = {"float64": torch.float64, "float32": torch.float32}
 
@@ -50,6 +52,7 @@ class ArmVectorEnv(VectorEnv[Tensor, Tensor, Tensor]):
         estimate: Range of the controller's first rest lengths over the true ones; action "adaptation" only.
         control_rate: Steps a second, Hz.
         substeps: Steps of the dynamic plant in a control period; None for the arm's.
+        model: Class of the controller's kinematic model; action "adaptation" of dynamic arms only.
         dtype: Of the physics, "float64" or "float32". Observations and rewards are float32.
         device: A torch device.
         autoreset_mode: What happens to a row that is done: reset in the next step, in the same step, or not.
@@ -84,6 +87,7 @@ class ArmVectorEnv(VectorEnv[Tensor, Tensor, Tensor]):
         estimate: Range = (0.85, 1.15),
         control_rate: float = 100.0,
         substeps: int | None = None,
+        model: type[KinematicModel] = PCCBackbone,
         dtype: str | torch.dtype = "float64",
         device: str | torch.device = "cpu",
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
@@ -98,7 +102,7 @@ class ArmVectorEnv(VectorEnv[Tensor, Tensor, Tensor]):
             raise ConfigError(
                 f"render_mode must be one of {', '.join(self.metadata['render_modes'])}, got {render_mode!r}"
             )
-        arm = Arm()
+        arm = Arm(model=model)
         limit = None if max_episode_steps == -1 else max_episode_steps
         ranges = Ranges(lengths, stiffness, payload, noise, delay, estimate)
         per_period = arm.substeps if substeps is None else substeps

@@ -7,9 +7,9 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from apcc_torch.estimation.step import Residual
 from apcc_torch.lie import se3, so3
-from apcc_torch.model.backbone import MaterialPoints, PCCBackbone
-from apcc_torch.model.chain import body_jacobian
+from apcc_torch.model.kinematic_model import KinematicModel, MaterialPoints
 
 
 class Problem(NamedTuple):
@@ -53,8 +53,17 @@ class Fit(NamedTuple):
         angular, linear = torch.linalg.vector_norm(self.twist.unflatten(-1, (2, 3)), dim=-1).unbind(-1)
         return angular, linear
 
+    def residual(self, mode: str, weights: Tensor) -> Residual:
+        """What a step of the mode has to remove; weights as in `Problem`."""
+        body = self.body
+        if mode == "pose":
+            # log(exp(-d) exp(V)) = V - J_l^-1(V) d: with J_b alone, right at V = 0, a step near the best fit of sensors
+            # that do not fit is no descent, and the estimate would stop short by up to a milliradian.
+            body = se3.left_jacobian_inverse_times(self.twist, self.k, body)
+        return Residual(self.twist.unsqueeze(-1), body, weights)
 
-def evaluate(backbone: PCCBackbone, mode: str, q: Tensor, problem: Problem) -> Fit:
+
+def evaluate(backbone: KinematicModel, mode: str, q: Tensor, problem: Problem) -> Fit:
     """The model at q (..., n) beside the sensors; mode as in `StateFeedback`."""
     chain = backbone.chain_to(q, problem.points)
     into_body = chain.rotation.mT
@@ -69,7 +78,7 @@ def evaluate(backbone: PCCBackbone, mode: str, q: Tensor, problem: Problem) -> F
         # The linear part of Eq. (30) depends on the orientation, which has no say where positions come first.
         hierarchical = mode == "hierarchical"
         twist = torch.cat((2.0 * half, linear), dim=-1) if hierarchical else se3.log_from_half(half, k, linear)
-    return Fit(q, twist, k, body_jacobian(chain, problem.points.fraction))
+    return Fit(q, twist, k, chain.body_jacobian())
 
 
 def select(take: Tensor, new: Fit, old: Fit) -> Fit:

@@ -8,9 +8,8 @@ import torch
 from torch import Tensor
 
 from apcc_torch.estimation.fit import Fit, Problem, evaluate, select
-from apcc_torch.estimation.step import Residual, damped_step
-from apcc_torch.lie import se3
-from apcc_torch.model.backbone import PCCBackbone
+from apcc_torch.estimation.step import damped_step
+from apcc_torch.model.kinematic_model import KinematicModel
 from apcc_torch.settings import Setting, aligned
 
 
@@ -73,16 +72,11 @@ def _score(rules: Rules, fit: Fit) -> _Scored:
 
 
 def _step(rules: Rules, fit: Fit, weights: Tensor, damping: Tensor, limits: Tensor) -> _Step:
-    body = fit.body
-    if rules.mode == "pose":
-        # log(exp(-d) exp(V)) = V - J_l^-1(V) d: with J_b alone, right at V = 0, a step near the best fit of sensors
-        # that do not fit is no descent, and the estimate would stop short by up to a milliradian.
-        body = se3.left_jacobian_inverse_times(fit.twist, fit.k, body)
-    twist = fit.twist.unsqueeze(-1)
-    step = damped_step(rules.mode, Residual(twist, body, weights), damping)
+    residual = fit.residual(rules.mode, weights)
+    step = damped_step(rules.mode, residual, damping)
     size = step.abs()
     step = step / (size / limits).amax((-1, -2), keepdim=True).clamp(min=1.0)
-    after = torch.where(weights > 0.0, twist - body @ step.unsqueeze(-3), 0.0)
+    after = torch.where(weights > 0.0, residual.twists - residual.body @ step.unsqueeze(-3), 0.0)
     return _Step(step.squeeze(-1), after.squeeze(-1), size.amax((-1, -2)) < rules.settled_step)
 
 
@@ -103,17 +97,6 @@ def _chosen(rules: Rules, take: Tensor, trial: _Scored, best: _Scored) -> _Score
     return _Scored(select(take, trial.fit, best.fit), cost, position_cost, torch.where(take, trial.within, best.within))
 
 
-def _limits(rules: Rules, like: Tensor) -> Tensor:
-    """(..., n, 1) largest change of each configuration variable in one step."""
-    sections, bend, length = like.shape[-1] // 3, rules.bend_step, rules.length_step
-    if isinstance(bend, Tensor) or isinstance(length, Tensor):
-        bends, lengths = (torch.as_tensor(v, dtype=like.dtype, device=like.device) for v in (bend, length))
-        of_section = torch.stack(torch.broadcast_tensors(bends, bends, lengths), dim=-1)
-        return of_section.unsqueeze(-2).expand(*of_section.shape[:-1], sections, 3).flatten(-2).unsqueeze(-1)
-    bends = torch.full((sections, 2), bend, dtype=like.dtype, device=like.device)
-    return torch.nn.functional.pad(bends, (0, 1), value=length).reshape(-1, 1)
-
-
 def _first_damping(rules: Rules, floor: float, cost: Tensor) -> Tensor:
     """(...) damping of the first step, m^2, of the shape of the cost."""
     if isinstance(rules.damping, Tensor):
@@ -126,14 +109,14 @@ def _none(rows: Tensor) -> bool:
     return not torch.compiler.is_compiling() and not bool(rows.any())
 
 
-def iterate(backbone: PCCBackbone, rules: Rules, q_seed: Tensor, problem: Problem) -> Outcome:
-    """Steps from q_seed (..., 3 n_b), of the problem's leading shape, until every row has ended."""
+def iterate(backbone: KinematicModel, rules: Rules, q_seed: Tensor, problem: Problem) -> Outcome:
+    """Steps from q_seed (..., n), of the problem's leading shape, until every row has ended."""
     best = _score(rules, evaluate(backbone, rules.mode, q_seed, problem))
     valid = problem.usable.any(-1) & torch.isfinite(best.cost)
     # Below this the damped normal matrix, of order one, is singular to rounding where sensors leave freedom.
     floor = 32.0 * torch.finfo(best.cost.dtype).eps
     damping = _first_damping(rules, floor, best.cost)
-    limits = _limits(rules, q_seed)
+    limits = backbone.coordinates.per_unit(rules.bend_step, rules.length_step, q_seed.shape[-1], q_seed).unsqueeze(-1)
     live = valid
     if rules.min_iterations == 0:
         live = live & ~best.within

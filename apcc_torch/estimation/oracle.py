@@ -1,4 +1,4 @@
-"""The limit: the best that constant-curvature sections can do on a shape that is known, as no controller knows it."""
+"""The limit: the best that a model's sections can do on a shape that is known, as no controller knows it."""
 
 from __future__ import annotations
 
@@ -10,8 +10,7 @@ from torch import Tensor
 from apcc_torch.errors import ShapeError, ValueRangeError
 from apcc_torch.linalg import solve_spd
 from apcc_torch.model.abscissae import decouple
-from apcc_torch.model.backbone import PCCBackbone, split_configuration
-from apcc_torch.model.chain import body_jacobian
+from apcc_torch.model.kinematic_model import KinematicModel
 from apcc_torch.shapes import check_tensor
 
 _SHORTEST = 1e-4  # m; a section squeezed to nothing keeps this much, so that its neighbours stay finite
@@ -20,7 +19,7 @@ _SHORTEST = 1e-4  # m; a section squeezed to nothing keeps this much, so that it
 class OracleFit(NamedTuple):
     """The best fit of each row.
 
-    q: (..., 3 n_b) configuration. pi: (..., n_b) rest lengths, m. error: (...) m, mean distance, Eq. (52).
+    q: (..., n) configuration. pi: (..., n_b) rest lengths, m. error: (...) m, mean distance, Eq. (52).
     """
 
     q: Tensor
@@ -29,7 +28,7 @@ class OracleFit(NamedTuple):
 
 
 def oracle_fit(
-    model: PCCBackbone,
+    model: KinematicModel,
     points: Tensor,
     q: Tensor,
     pi: Tensor,
@@ -46,10 +45,10 @@ def oracle_fit(
     Args:
         model: The sections to fit.
         points: (..., N, 3) the true backbone from base to tip, spaced as `spacing` says, m.
-        q: (..., 3 n_b) first guess.
+        q: (..., n) first guess.
         pi: (..., n_b) rest lengths, the first guess where they are free, m.
         free_lengths: Whether to fit pi too.
-        spacing: "arc" or "material", see `PCCBackbone.points`.
+        spacing: "arc" or "material", see `KinematicModel.points`.
         iterations: Steps.
 
     Raises:
@@ -98,27 +97,26 @@ def oracle_fit(
 
 
 def _curve(
-    model: PCCBackbone, q: Tensor, pi: Tensor, N: int, spacing: str, free_lengths: bool
+    model: KinematicModel, q: Tensor, pi: Tensor, N: int, spacing: str, free_lengths: bool
 ) -> tuple[Tensor, Tensor]:
-    """`PCCBackbone.points` (..., N, 3) and its derivative (..., N, 3, n) with respect to q, or q and pi."""
+    """`KinematicModel.points` (..., N, 3) and its derivative (..., N, 3, n) with respect to q, or q and pi."""
     share = torch.linspace(0.0, 1.0, N, dtype=q.dtype, device=q.device)
-    _, _, dL = split_configuration(q)
-    length = (pi + dL).clamp(min=_SHORTEST)
+    length, elongations = model.section_lengths(q, pi).clamp(min=_SHORTEST), model.coordinates.elongations
     measure = pi if spacing == "material" else length
     X_tilde, j = decouple(share * measure.sum(-1, keepdim=True), measure)
     points = model.material_points(pi, X_tilde, j)
     chain = model.chain_to(q, points)
-    J = chain.rotation @ body_jacobian(chain, points.fraction)[..., 3:, :]
+    J = chain.rotation @ chain.body_jacobian()[..., 3:, :]
     # With its part of its section fixed, a point goes where J says. To keep its share of the whole it also slides along
     # the curve: u of what the whole gains, less what the sections before it and its own part gain.
     tangent = chain.rotation[..., :, 2:]
     slide = tangent * (share.unsqueeze(-1) - points.fraction).unsqueeze(-2)
     if spacing == "arc":
         along = torch.zeros_like(J)
-        along[..., 2::3] = slide
+        along[..., elongations] = slide
         J = J + along
-        return chain.tip, torch.cat((J, J[..., 2::3]), dim=-1) if free_lengths else J
+        return chain.tip, torch.cat((J, J[..., elongations]), dim=-1) if free_lengths else J
     if not free_lengths:
         return chain.tip, J
     stretch = torch.gather(length / pi, -1, j)[..., None, None]
-    return chain.tip, torch.cat((J, J[..., 2::3] + slide * stretch), dim=-1)
+    return chain.tip, torch.cat((J, J[..., elongations] + slide * stretch), dim=-1)

@@ -65,7 +65,9 @@ def _fitted(name: str, x: Tensor, shape: tuple[int, ...]) -> Tensor:
         raise ShapeError(f"{name} of shape {tuple(x.shape)} does not fit the state's batch, {shape} wanted") from error
 
 
-def polynomial_weights(times: Tensor, valid: Tensor, order: int, derivatives: tuple[int, ...]) -> list[Tensor]:
+def polynomial_weights(
+    times: Tensor, valid: Tensor, order: int, derivatives: tuple[int, ...], importance: Tensor | None = None
+) -> list[Tensor]:
     """Weights that turn samples into derivatives of their least-squares polynomial at the last time stamp.
 
     The polynomial is expanded in the polynomials p_k that are orthogonal over the valid stamps, built by Stieltjes'
@@ -78,6 +80,7 @@ def polynomial_weights(times: Tensor, valid: Tensor, order: int, derivatives: tu
         valid: 1 where the sample counts, else 0, same dtype, shape (..., N).
         order: Degree of the polynomial.
         derivatives: Which derivatives, at most `order`, 0 for the value.
+        importance: Weights of the squares, at most 1 and positive, shape (..., N); None: all 1.
 
     Returns:
         One tensor of shape (..., N) per entry of `derivatives`, in 1 / s^derivative.
@@ -95,9 +98,10 @@ def polynomial_weights(times: Tensor, valid: Tensor, order: int, derivatives: tu
     at_old: list[Scalar] = [0.0] * (highest + 1)
     at: list[Scalar] = [1.0, *at_old[1:]]
     for degree in range(order + 1):
-        norm = (p * p if degree else p).sum(-1, keepdim=True)
+        counted = p if importance is None else p * importance
+        norm = (p * counted if degree else counted).sum(-1, keepdim=True)
         safe = torch.threshold(norm, floor, math.inf)  # dividing by inf drops the polynomial
-        q = p / safe
+        q = counted / safe
         weights = [_plus(w, _times(at[m], q)) for w, m in zip(weights, derivatives, strict=True)]
         if degree == order:
             break
@@ -223,7 +227,11 @@ class SavitzkyGolay(nn.Module):
         times = (state.times - state.times[..., -1:]).to(state.samples.dtype)
         wanted = (self.derivative, 0) if with_value else (self.derivative,)
         valid = state.valid if self.newest is None else state.valid & self.newest
-        return polynomial_weights(times, valid.to(times.dtype), self.order, wanted)
+        return polynomial_weights(times, valid.to(times.dtype), self.order, wanted, self._importance(times))
+
+    def _importance(self, like: Tensor) -> Tensor | None:
+        """Weights of the samples' squares (..., N) of the dtype and device of `like`; None: all 1."""
+        return None
 
     def evaluate(self, state: SavitzkyGolayState) -> SavitzkyGolayFit:
         """The polynomial over `state`'s samples at its newest stamp: the smoothed value and the derivative."""

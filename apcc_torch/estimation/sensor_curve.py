@@ -41,12 +41,12 @@ class SensorCurve(nn.Module):
             raise ValueRangeError(f"tangents must be one of {', '.join(TANGENTS)}, got {tangents!r}")
         if samples < 1:
             raise ValueRangeError(f"samples must be at least 1, got {samples}")
-        ends = torch.cat((torch.zeros_like(abscissae[:1]), abscissae.detach()))
+        ends = torch.cat((torch.zeros_like(abscissae[:1]), abscissae))
         if abscissae.shape[0] == 0 or bool((ends.diff() <= 0).any()):
             raise ValueRangeError(f"abscissae must increase from beyond the base, got {abscissae.tolist()}")
         self.tangents = tangents
         share = torch.arange(1, samples + 1, dtype=abscissae.dtype, device=abscissae.device) / samples
-        self.register_buffer("base_axis", base_rotation.detach()[:, 2].clone())
+        self.register_buffer("base_axis", base_rotation[:, 2].clone())
         self.register_buffer("shares", share)
         self.register_buffer("abscissae", (ends[:-1, None] + ends.diff()[:, None] * share).flatten())
 

@@ -10,15 +10,16 @@ from torch import Tensor, nn
 
 from apcc_torch.errors import DtypeError, ShapeError, ValueRangeError
 from apcc_torch.estimation.fit import Problem
+from apcc_torch.estimation.implicit import attached
 from apcc_torch.estimation.iteration import Rules, iterate
 from apcc_torch.estimation.step import Residual, damped_step, row_weights
 from apcc_torch.model.abscissae import located
-from apcc_torch.model.backbone import MaterialPoints, PCCBackbone
-from apcc_torch.model.chain import Chain, body_jacobian, last_chain
+from apcc_torch.model.kinematic_model import KinematicModel, MaterialPoints, Placed
 from apcc_torch.settings import Setting, aligned, check_setting, hold, hold_rows
 from apcc_torch.shapes import batch_shape, check_finite, check_same, check_tensor
 
 MODES = ("position", "pose", "hierarchical")
+GRADIENTS = ("implicit", "unrolled")
 
 
 class FeedbackStatus(IntEnum):
@@ -37,7 +38,7 @@ class FeedbackStatus(IntEnum):
 class Feedback(NamedTuple):
     """Result of algorithm 2.
 
-    q_bar: (..., 3 n_b) inferred configuration.
+    q_bar: (..., n) inferred configuration.
     angular_error: (..., k) norm of the angular part of Eq. (30), rad; 0 for a sensor that is masked.
     linear_error: (..., k) norm of the linear part of Eq. (30), or of Eq. (32) outside mode "pose", m; 0 for a sensor
         that is masked.
@@ -79,6 +80,10 @@ class StateFeedback(nn.Module):
 
     Each number may also be a tensor (...), one a row, except the numbers of iterations.
 
+    Gradients of q_bar and of the errors are those of the fixed point at q_bar, with respect to pi_hat, T, abscissae and
+    angular_weight, and none to the seed: of rows that ended CONVERGED or SETTLED. A row at ITERATION_LIMIT is a
+    constant, an INVALID one is its seed. Differentiating the gradient again raises GradientError.
+
     Args:
         backbone: The model.
         abscissae: (..., k) material abscissae of the sensors, m, increasing, S_s of Eq. (22).
@@ -93,6 +98,7 @@ class StateFeedback(nn.Module):
         length_step: Largest change of a section's elongation in one step, m.
         damping: First Levenberg-Marquardt damping, m^2.
         settled_step: A step with every entry (rad, m) below this is the row's last.
+        gradient: "implicit", see above, or "unrolled": reverse-mode gradients go through every step of the iteration.
 
     Raises:
         ValueRangeError: The sensor set is empty, not sorted or negative, or a setting is out of range.
@@ -109,7 +115,7 @@ class StateFeedback(nn.Module):
 
     def __init__(
         self,
-        backbone: PCCBackbone,
+        backbone: KinematicModel,
         abscissae: Tensor,
         mode: str = "pose",
         angular_weight: Setting = 1.0,
@@ -121,6 +127,7 @@ class StateFeedback(nn.Module):
         length_step: Setting = 0.1,
         damping: Setting = 1e-8,
         settled_step: Setting = 5e-6,
+        gradient: str = "implicit",
     ) -> None:
         super().__init__()
         check_tensor("abscissae", abscissae, (None,))
@@ -131,6 +138,8 @@ class StateFeedback(nn.Module):
             raise ValueRangeError(f"abscissae must be increasing and not negative, got {abscissae.tolist()}")
         if mode not in MODES:
             raise ValueRangeError(f"mode must be one of {', '.join(MODES)}, got {mode!r}")
+        if gradient not in GRADIENTS:
+            raise ValueRangeError(f"gradient must be one of {', '.join(GRADIENTS)}, got {gradient!r}")
         positive: dict[str, Setting] = {
             "angular_weight": angular_weight,
             "max_iterations": max_iterations,
@@ -146,12 +155,13 @@ class StateFeedback(nn.Module):
             raise ValueRangeError(f"min_iterations must be between 0 and max_iterations, got {min_iterations}")
         self.backbone = backbone
         self.mode = mode
+        self.gradient = gradient
         self.max_iterations = max_iterations
         self.min_iterations = min_iterations
         hold(self, angular_weight=angular_weight, settled_step=settled_step, damping=damping)
         hold(self, linear_threshold=linear_threshold, angular_threshold=angular_threshold)
         hold(self, bend_step=bend_step, length_step=length_step)
-        hold_rows(self, abscissae=(abscissae.detach().clone(), 1))
+        hold_rows(self, abscissae=(abscissae.clone(), 1))
 
     def forward(
         self,
@@ -164,7 +174,7 @@ class StateFeedback(nn.Module):
         """Infers q_bar from sensor poses with the parameters frozen.
 
         Args:
-            q_seed: (..., 3 n_b) first guess, the previous q_bar (remark 4).
+            q_seed: (..., n) first guess, the previous q_bar (remark 4).
             pi_hat: (..., n_b) parameter estimates, m.
             T: (..., k, 4, 4) measured sensor poses, world frame. Non-finite sensors count as masked.
             mask: (..., k) bool, False for a sensor to leave out; None for all.
@@ -243,7 +253,13 @@ class StateFeedback(nn.Module):
         )
 
     def _infer(self, q_seed: Tensor, problem: Problem) -> Feedback:
-        fit, within, settled, valid, iterations = iterate(self.backbone, self._rules(), q_seed, problem)
+        if self.gradient == "implicit" and torch.is_grad_enabled():
+            with torch.no_grad():
+                outcome = iterate(self.backbone, self._rules(), q_seed, problem)
+            outcome = outcome._replace(fit=attached(self.backbone, self.mode, outcome, q_seed, problem))
+        else:
+            outcome = iterate(self.backbone, self._rules(), q_seed, problem)
+        fit, within, settled, valid, iterations = outcome
         status = torch.full_like(iterations, FeedbackStatus.ITERATION_LIMIT)
         status = status.masked_fill(settled, FeedbackStatus.SETTLED).masked_fill(within, FeedbackStatus.CONVERGED)
         return Feedback(fit.q, *fit.errors(), iterations, status.masked_fill(~valid, FeedbackStatus.INVALID))
@@ -251,14 +267,14 @@ class StateFeedback(nn.Module):
     def sensitivity(
         self, q_bar: Tensor, pi_hat: Tensor, mask: Tensor | None = None, angular_mask: Tensor | None = None
     ) -> Tensor:
-        """dq_bar/dpi_hat (..., 3 n_b, n_b): how the fixed point of algorithm 2 follows the parameters.
+        """dq_bar/dpi_hat (..., n, n_b): how the fixed point of algorithm 2 follows the parameters.
 
         The fixed point satisfies J_b^T W V_b = 0. Differentiated at a small residual,
         dq_bar/dpi = -(J_b^T W J_b)^-1 J_b^T W (dT/dpi), with dT/dpi the sensors' body twists per unit parameter at
         fixed q: one step of the mode against those twists. Exact where the model fits the sensors.
 
         Args:
-            q_bar: (..., 3 n_b) a converged estimate.
+            q_bar: (..., n) a converged estimate.
             pi_hat: (..., n_b) m.
             mask: (..., k) bool, sensors used; None for all.
             angular_mask: (..., k) bool, orientations used; None for `mask`.
@@ -272,11 +288,11 @@ class StateFeedback(nn.Module):
         q, pi = (v.double().expand(*batch, v.shape[-1]) for v in (q_bar, pi_hat))
         X = self._abscissae(pi)
         points = self.backbone.material_points(pi, *located(X.expand(*batch, X.shape[-1]), pi))
-        body = body_jacobian(self.backbone.chain_to(q, points), points.fraction)
+        body = self.backbone.chain_to(q, points).body_jacobian()
         return self._followed(q, pi, points, body, self._weights(usable, oriented, q.dtype)).to(q_bar.dtype)
 
-    def followed(self, inference: Inference, batch: torch.Size) -> tuple[Chain, Tensor]:
-        """The arm's chain at q_bar and `sensitivity` (..., 3 n_b, n_b) there, from one pass.
+    def followed(self, inference: Inference, batch: torch.Size) -> tuple[Placed, Tensor]:
+        """The arm's chain at q_bar and `sensitivity` (..., n, n_b) there, from one pass.
 
         Args:
             inference: From `infer`.
@@ -289,8 +305,8 @@ class StateFeedback(nn.Module):
             return self.backbone.chain(q, pi_hat), self.sensitivity(q_bar, pi_hat, problem.usable, problem.oriented)
         points = problem.points.with_tip(pi_hat)
         chain = self.backbone.chain_to(q, points)
-        body = body_jacobian(chain, points.fraction)[..., :-1, :, :]
-        return last_chain(chain), self._followed(q_bar, pi_hat, problem.points, body, problem.weights)
+        body = chain.body_jacobian()[..., :-1, :, :]
+        return chain.last(), self._followed(q_bar, pi_hat, problem.points, body, problem.weights)
 
     def _followed(self, q: Tensor, pi: Tensor, points: MaterialPoints, body: Tensor, weights: Tensor) -> Tensor:
         moved = self.backbone.parameter_columns(q, pi, self._abscissae(pi), points, body)

@@ -21,7 +21,7 @@ from typing import Any
 import torch
 
 from apcc_torch.configs.batch import Point, structure
-from apcc_torch.configs.build import choice
+from apcc_torch.configs.build import Builder, choice
 from apcc_torch.configs.schema import SimulateConfig
 from apcc_torch.errors import ConfigError
 from apcc_torch.experiments.batch_chunk import KINDS, Part, Task, chosen, compute, draw, is_finite, rank, read_part
@@ -124,15 +124,15 @@ def parts_folder(config: SimulateConfig, points: Sequence[Point], folder: Path) 
 
 def point_mib(config: SimulateConfig) -> tuple[int, float]:
     """Rows that one point takes, and its memory in MiB: its log, twice while it is read, and scratch."""
-    e, n_b, k = config.experiment, len(config.robot.rest_lengths), len(config.robot.sensors)
-    numbers = 6 + 7 * n_b + 2 * k + 1
+    e, model, k = config.experiment, Builder(config).backbone(), len(config.robot.sensors)
+    numbers = 6 + 2 * model.n + model.n_sections + 2 * k + 1
     if e.kind == "kinematic":
         rows = 1 + e.start_errors
     else:
         rows = len(e.setpoints or [None]) * len(e.payloads)
-        numbers += 3 * n_b + 3 * len(config.plant.lengths) + 3 * len(config.robot.racks) * config.robot.tendons_per_rack
+        numbers += model.n + 3 * len(config.plant.lengths) + 3 * len(config.robot.racks) * config.robot.tendons_per_rack
     steps = round(e.duration * config.controller.rate) + 1
-    filtered = 4 * config.velocity_filter.window * n_b
+    filtered = 4 * config.velocity_filter.window * model.n // 3
     return rows, rows * (SCRATCH_MIB + 8.0 * (2.0 * steps * numbers + filtered) / 2**20)
 
 

@@ -16,6 +16,7 @@ from apcc_torch.control.inverse_kinematics import elongation_cost
 from apcc_torch.experiments.folder import RunFolder, progress_bar
 from apcc_torch.model.abscissae import decouple
 from apcc_torch.model.backbone import PCCBackbone
+from apcc_torch.model.kinematic_model import KinematicModel
 from apcc_torch.report import dynamic as figures
 from apcc_torch.report.animation import save_animation
 from apcc_torch.report.backbone_drawing import Snapshots, marker_positions, spread_indices, stroboscopic_figure
@@ -36,7 +37,7 @@ class Arms(NamedTuple):
 
     true: PCCBackbone
     true_lengths: Tensor  # (n_t,) m
-    model: PCCBackbone
+    model: KinematicModel
     sensors: Tensor  # (k,) m
 
 
@@ -142,7 +143,7 @@ def curves(log: DynamicLog, arms: Arms) -> figures.RunCurves:
     return figures.RunCurves(
         time=log.time,
         shape_error=shape,
-        psi=elongation_cost(log.q_bar),
+        psi=elongation_cost(log.q_bar, coordinates=arms.model.coordinates),
         angular=angular,
         linear=log.linear_error,
         e=(log.x_d - log.x).norm(dim=-1),

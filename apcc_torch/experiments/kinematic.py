@@ -16,7 +16,7 @@ from apcc_torch.control.controller import APCCController
 from apcc_torch.control.inverse_kinematics import elongation_cost
 from apcc_torch.errors import ConfigError
 from apcc_torch.experiments.folder import RunFolder, progress_bar
-from apcc_torch.model.backbone import PCCBackbone
+from apcc_torch.model.kinematic_model import KinematicModel
 from apcc_torch.report.kinematic import kinematic_figures, select_row
 from apcc_torch.report.style import save_figures
 from apcc_torch.simulation.kinematic import KinematicLog, simulate_exact, simulate_feedback
@@ -27,7 +27,7 @@ SHAPE_SAMPLES = 200
 """Largest number of instants at which the shape error is computed."""
 
 
-def kinematic_metrics(log: KinematicLog, backbone: PCCBackbone, pi: Tensor) -> dict[str, float]:
+def kinematic_metrics(log: KinematicLog, backbone: KinematicModel, pi: Tensor) -> dict[str, float]:
     """Flat metrics of a run, SI units in the names; over all rows, and the worst row where a name says max.
 
     Args:
@@ -40,7 +40,7 @@ def kinematic_metrics(log: KinematicLog, backbone: PCCBackbone, pi: Tensor) -> d
     shape = backbone_error(backbone, log.q_true[::stride], pi, backbone, log.q_bar[::stride], log.pi_hat[::stride])
     shape_end = backbone_error(backbone, log.q_true[-1], pi, backbone, log.q_bar[-1], log.pi_hat[-1])
     e = (log.x_d - log.x).norm(dim=-1)
-    psi = elongation_cost(log.q_bar)
+    psi = elongation_cost(log.q_bar, coordinates=backbone.coordinates)
     gap = (log.pi_hat[-1] - pi).abs()
     # A row counts as diverged where it is not finite or its tip is farther off than the arm is long.
     diverged = ~(e.amax(0) < pi.sum()) | ~torch.isfinite(log.q_bar).all(-1).all(0)

@@ -20,7 +20,7 @@ from apcc_torch.estimation.sensor_curve import SensorCurve
 from apcc_torch.experiments.realtime import LOG, settings_of
 from apcc_torch.files import write_atomically, write_json
 from apcc_torch.hardware.log_reader import RobotLog, read_log
-from apcc_torch.model.backbone import PCCBackbone
+from apcc_torch.model.kinematic_model import KinematicModel
 from apcc_torch.report.dynamic import RunCurves, mapping_error_figure, psi_figure, sensor_figure
 from apcc_torch.report.overlay import Overlay, error_figure, overlay_figure
 from apcc_torch.report.style import save_figures
@@ -41,7 +41,7 @@ class Run(NamedTuple):
     arrival: float
 
 
-def mapping_error(backbone: PCCBackbone, q_d: Tensor, pi_hat: Tensor, tip: Tensor) -> Tensor:
+def mapping_error(backbone: KinematicModel, q_d: Tensor, pi_hat: Tensor, tip: Tensor) -> Tensor:
     """Eq. (53): distance of the measured tip from where the model would be at q_d, m.
 
     Args:
@@ -71,7 +71,7 @@ def curves(record: RobotLog) -> Run:
     found = RunCurves(
         time,
         torch.full_like(time, torch.nan).unsqueeze(-1),
-        torch.linalg.vector_norm(q_bar[:, 2::3], dim=-1, keepdim=True),
+        torch.linalg.vector_norm(q_bar[:, backbone.coordinates.elongations], dim=-1, keepdim=True),
         angular.unsqueeze(1),
         linear.unsqueeze(1),
         torch.linalg.vector_norm(e, dim=-1, keepdim=True),

@@ -87,8 +87,8 @@ def run(config: SimulateConfig, folder: Path) -> dict[str, float]:
         curves = ReplayCurves(
             log.time, log.q_bar, log.angular_error, log.linear_error, log.position_reason, log.orientation_reason
         )
-        title = Path(config.data).name
-        save_figures({"replay.png": replay_figure(curves, recording.names, title)}, folder / "figures")
+        title, coordinates = Path(config.data).name, controller.backbone.coordinates
+        save_figures({"replay.png": replay_figure(curves, recording.names, title, coordinates)}, folder / "figures")
     calibration.save(folder / "calibration.json")
     metrics["wall_s"] = time.perf_counter() - started
     RunFolder(folder).write(metrics, log._asdict(), config.seed)

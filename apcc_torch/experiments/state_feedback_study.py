@@ -66,7 +66,7 @@ def estimate(config: RealtimeConfig, seen: Motion) -> Estimates:
         feedback = replace(config.feedback, mode=mode)
         build = Builder(model_settings(replace(config, feedback=feedback, dtype="float64")))
         algorithm, backbone = build.controller().feedback, build.backbone()
-        q = torch.zeros(len(cases), 3 * build.n_sections, dtype=torch.float64)
+        q = torch.zeros(len(cases), backbone.n, dtype=torch.float64)
         results = []
         with torch.inference_mode():
             for k in range(len(seen.time)):

@@ -91,3 +91,10 @@ def stumpff(x: Tensor) -> Stumpff:
 
     closed = (l0, l1, l2, l3, l4, l5, l6)
     return Stumpff(*(torch.where(small, s, c) for s, c in zip(series, closed, strict=True)))
+
+
+def stumpff_c7(x: Tensor, c5: Tensor) -> Tensor:
+    """c_7 of the same x, given c_5: what only second derivatives of lengths along a twist need."""
+    small = x < _SERIES_BELOW
+    low = _series(7, x.clamp(max=_SERIES_BELOW), torch.ones_like(x)) / factorial(7)
+    return torch.where(small, low, (1.0 / factorial(5) - c5) / x.clamp(min=_SERIES_BELOW))

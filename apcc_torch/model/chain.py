@@ -12,11 +12,13 @@ import torch
 from torch import Tensor
 
 from apcc_torch.lie.stumpff import Stumpff, stumpff
-from apcc_torch.model.arc import Arc, arc_geometry, squared_bend
+from apcc_torch.model.arc import Arc, arc_geometry, arc_rate, squared_bend
 
 
 class Chain(NamedTuple):
     """Frames along a chain of n arcs.
+
+    Its coordinates are each section's (dx, dy, dL).
 
     x, y: (..., n) bends, rad, and length: (..., n) m, broadcast with each other.
     c: Stumpff functions (..., n) of the squared bends.
@@ -24,6 +26,8 @@ class Chain(NamedTuple):
     before: (..., n, 3, 3) rotation of each arc's base frame.
     ends: (..., n, 3) position of each arc's tip, m.
     rotation: (..., 3, 3) rotation of the last tip.
+    fraction: (..., n) part of each section that its arc covers: rates of the section's bend and length act on the arc
+        with this weight. None where arcs are whole sections.
     """
 
     x: Tensor
@@ -34,11 +38,55 @@ class Chain(NamedTuple):
     before: Tensor
     ends: Tensor
     rotation: Tensor
+    fraction: Tensor | None = None
 
     @property
     def tip(self) -> Tensor:
         """(..., 3) position of the last tip, m."""
         return self.ends[..., -1, :]
+
+    def last(self) -> Chain:
+        """Of chains (..., k) to several points, the one to the last point, which is the whole arm's tip."""
+        c = Stumpff(*(value.select(-2, -1) for value in self.c))
+        arcs = Arc(*(value.select(-4, -1) for value in self.arcs))
+        x, y, length = (value.select(-2, -1) for value in (self.x, self.y, self.length))
+        before, ends, rotation = self.before.select(-4, -1), self.ends.select(-3, -1), self.rotation.select(-3, -1)
+        return Chain(x, y, length, c, arcs, before, ends, rotation)
+
+    def tip_jacobian(self) -> Tensor:
+        """Linear velocity (..., 3, 3 n) of the tip, in world axes, for unit rates of the coordinates."""
+        arm = self.tip.unsqueeze(-2) - self.ends
+        return flatten_columns(_linear_columns(self.before @ self.arcs.columns, arm, self.length))
+
+    def body_jacobian(self) -> Tensor:
+        """Body twist (..., 6, 3 n) of the tip for unit rates of the coordinates, rows angular then linear."""
+        from_body = self.rotation
+        arcs = self.arcs.columns if self.fraction is None else self.arcs.columns * self.fraction[..., None, None]
+        columns = (from_body.mT.unsqueeze(-3) @ self.before) @ arcs
+        arm = (self.tip.unsqueeze(-2) - self.ends) @ from_body
+        linear = _linear_columns(columns, arm, self.length)
+        angular = torch.nn.functional.pad(columns[..., :2], (0, 1))
+        return flatten_columns(torch.cat((angular, linear), dim=-2))
+
+    def jacobian_rate(self, qdot: Tensor) -> Tensor:
+        """Jdot (..., 3, 3 n) of the tip along qdot (..., 3 n). Its columns of delta L are the regressor Y, Eq. (8)."""
+        xdot, ydot, lengthdot = (rate.expand_as(self.length) for rate in qdot.unflatten(-1, (-1, 3)).unbind(-1))
+        rate = arc_rate(self.x, self.y, xdot, ydot, self.c)
+        columns = self.before @ self.arcs.columns
+        spin, reach = columns.split_with_sizes((2, 3), dim=-1)  # what turns; what moves: bend and chord
+        omega = angular_velocity(spin, torch.stack((xdot, ydot), dim=-1)).unsqueeze(-1)
+        turned = self.before @ rate.columns
+        spin_rate = torch.linalg.cross(omega, spin, dim=-2) + turned[..., :2]
+        reach_rate = torch.linalg.cross(omega, reach, dim=-2) + turned[..., 2:]
+
+        # The steps L u turn and stretch; what lies beyond section i moves with the later steps only.
+        L, Ldot = self.length[..., None, None], lengthdot[..., None, None]
+        bend_rate, step_rate = torch.addcmul(Ldot * reach, L, reach_rate).split_with_sizes((2, 1), dim=-1)
+        ends_rate = step_rate.cumsum(-3)
+        arm = (self.tip.unsqueeze(-2) - self.ends).unsqueeze(-1)
+        arm_rate = ends_rate[..., -1:, :, :] - ends_rate
+        swing = torch.linalg.cross(spin_rate, arm, dim=-2) + torch.linalg.cross(spin, arm_rate, dim=-2)
+        return flatten_columns(torch.cat((bend_rate + swing, reach_rate[..., 2:]), dim=-1))
 
 
 def prefix_rotations(rotations: Tensor, base_rotation: Tensor) -> tuple[Tensor, Tensor]:
@@ -59,27 +107,21 @@ def prefix_rotations(rotations: Tensor, base_rotation: Tensor) -> tuple[Tensor, 
     return torch.stack(before, dim=-3), current
 
 
-def build_chain(x: Tensor, y: Tensor, length: Tensor, base_rotation: Tensor) -> Chain:
-    """The chain of n arcs with bends (x, y) rad and lengths m, each (..., n). Eq. (3) [Dalenberg]."""
+def build_chain(x: Tensor, y: Tensor, length: Tensor, base_rotation: Tensor, fraction: Tensor | None = None) -> Chain:
+    """The chain of n arcs with bends (x, y) rad and lengths m, each (..., n). Eq. (3) [Dalenberg].
+
+    fraction as in `Chain`.
+    """
     c = stumpff(squared_bend(x, y))
     arcs = arc_geometry(x, y, c)
     before, rotation = prefix_rotations(arcs.rotation, base_rotation)
     steps = (before @ (arcs.chord * length.unsqueeze(-1)).unsqueeze(-1)).squeeze(-1)
-    return Chain(x, y, length, c, arcs, before, steps.cumsum(-2), rotation)
+    return Chain(x, y, length, c, arcs, before, steps.cumsum(-2), rotation, fraction)
 
 
 def flatten_columns(blocks: Tensor) -> Tensor:
     """(..., n, r, c) blocks, one an arc, to one matrix (..., r, n c)."""
     return blocks.transpose(-3, -2).flatten(-2)
-
-
-def last_chain(chain: Chain) -> Chain:
-    """Of chains (..., k) to several points, the one to the last point."""
-    c = Stumpff(*(value.select(-2, -1) for value in chain.c))
-    arcs = Arc(*(value.select(-4, -1) for value in chain.arcs))
-    x, y, length = (value.select(-2, -1) for value in chain[:3])
-    before, ends, rotation = chain.before.select(-4, -1), chain.ends.select(-3, -1), chain.rotation.select(-3, -1)
-    return Chain(x, y, length, c, arcs, before, ends, rotation)
 
 
 def _linear_columns(columns: Tensor, arm: Tensor, length: Tensor) -> Tensor:
@@ -95,23 +137,7 @@ def _linear_columns(columns: Tensor, arm: Tensor, length: Tensor) -> Tensor:
     return torch.cat((torch.addcmul(swing, length[..., None, None], bend), chord), dim=-1)
 
 
-def tip_jacobian(chain: Chain) -> Tensor:
-    """Linear velocity (..., 3, 3 n) of the tip, in world axes, for unit rates of each arc's (dx, dy, dL)."""
-    arm = chain.tip.unsqueeze(-2) - chain.ends
-    return flatten_columns(_linear_columns(chain.before @ chain.arcs.columns, arm, chain.length))
-
-
-def body_jacobian(chain: Chain, fraction: Tensor) -> Tensor:
-    """Body twist (..., 6, 3 n) of the tip for unit rates of each section's (dx, dy, dL), rows angular then linear.
-
-    Args:
-        chain: The chain; its arcs are `fraction` of their sections.
-        fraction: (..., n) part of each section that its arc covers: rates of the section's bend and length act on the
-            arc with this weight.
-    """
-    from_body = chain.rotation
-    columns = (from_body.mT.unsqueeze(-3) @ chain.before) @ (chain.arcs.columns * fraction[..., None, None])
-    arm = (chain.tip.unsqueeze(-2) - chain.ends) @ from_body
-    linear = _linear_columns(columns, arm, chain.length)
-    angular = torch.nn.functional.pad(columns[..., :2], (0, 1))
-    return flatten_columns(torch.cat((angular, linear), dim=-2))
+def angular_velocity(spin: Tensor, thetadot: Tensor) -> Tensor:
+    """(..., n, 3) angular velocity of each section's base frame: the sum over the sections before it."""
+    own = (spin @ thetadot.unsqueeze(-1)).squeeze(-1)
+    return own.cumsum(-2) - own

@@ -66,8 +66,8 @@ class TendonRouting(nn.Module):
         self.register_buffer("anchors", anchors)
         self.register_buffer("starts", starts)
 
-    def fractions(self, pi_hat: Tensor) -> Tensor:
-        """Share of each section that each tendon traverses (..., n_b, n_a), in [0, 1]; the integral limit of Eq. (46).
+    def limits(self, pi_hat: Tensor) -> tuple[Tensor, Tensor]:
+        """Where in each section each tendon begins and ends: normalised abscissae (..., n_b, n_a), those of Eq. (46).
 
         An anchor beyond the arm's total length is held at the tip (remark 3). Between crossings of a section boundary
         the result is differentiable in `pi_hat`.
@@ -80,7 +80,12 @@ class TendonRouting(nn.Module):
         begin = (torch.cumsum(pi_hat, dim=-1) - pi_hat).unsqueeze(-1)
         length = pi_hat.unsqueeze(-1)
         reached = ((self.anchors - begin) / length).clamp(0.0, 1.0)
-        return reached - ((self.starts - begin) / length).clamp(0.0, 1.0)
+        return ((self.starts - begin) / length).clamp(0.0, 1.0), reached
+
+    def fractions(self, pi_hat: Tensor) -> Tensor:
+        """Share of each section that each tendon traverses (..., n_b, n_a), in [0, 1]; see `limits`."""
+        begin, end = self.limits(pi_hat)
+        return end - begin
 
     def matrix(self, pi_hat: Tensor) -> Tensor:
         """Actuation matrix B(pi_hat) (..., 3 n_b, n_a), Eqs. (42)-(46) [Dalenberg].
@@ -127,7 +132,7 @@ def full_rows(angles: Tensor, offsets: Tensor) -> Tensor:
 
 def rack_routing(
     racks: Tensor,
-    offset: float = 0.027,
+    offset: float | Tensor = 0.027,
     per_rack: int = 3,
     twist: float = pi / 6.0,
     layout: str = "coupled",
@@ -148,4 +153,4 @@ def rack_routing(
     around = torch.arange(per_rack, dtype=dtype, device=device) * (2.0 * pi / per_rack)
     turned = torch.arange(racks.shape[-1], dtype=dtype, device=device) * twist
     angles = (turned.unsqueeze(-1) + around).flatten()
-    return TendonRouting(angles, torch.full_like(angles, offset), racks.repeat_interleave(per_rack), layout)
+    return TendonRouting(angles, offset * torch.ones_like(angles), racks.repeat_interleave(per_rack), layout)

@@ -17,6 +17,7 @@ from omegaconf.errors import OmegaConfBaseException
 from torch import Tensor
 from tqdm import tqdm
 
+from apcc_torch.configs.build import Builder
 from apcc_torch.configs.schema import SimulateConfig
 from apcc_torch.configs.typed import typed
 from apcc_torch.errors import ApccError, ConfigError, DataError
@@ -139,8 +140,9 @@ def draw_dynamic(config: SimulateConfig, arrays: dict[str, Tensor], into: Path, 
 def draw_replay(config: SimulateConfig, arrays: dict[str, Tensor], into: Path, figured: bool, filmed: bool) -> None:
     """What the estimator inferred from a recording; there is no true arm to film."""
     names = ("time", "q_bar", "angular_error", "linear_error", "position_reason", "orientation_reason")
+    curves, coordinates = ReplayCurves(*(arrays[name] for name in names)), Builder(config).backbone().coordinates
     title = Path(config.data).name if config.data else ""
-    figure = replay_figure(ReplayCurves(*(arrays[name] for name in names)), title=title)
+    figure = replay_figure(curves, title=title, coordinates=coordinates)
     save_figure(figure, into / "replay.png")
 
 

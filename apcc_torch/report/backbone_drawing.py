@@ -13,7 +13,7 @@ from torch import Tensor
 
 from apcc_torch.errors import ShapeError
 from apcc_torch.model.abscissae import decouple
-from apcc_torch.model.backbone import PCCBackbone
+from apcc_torch.model.kinematic_model import KinematicModel
 from apcc_torch.report import style
 from apcc_torch.report.space import Camera, Space, bounding_box
 from apcc_torch.report.style import Array, values
@@ -51,7 +51,7 @@ def check_snapshots(name: str, shots: Snapshots) -> None:
         raise ShapeError(f"{name}.time must hold at least one moment, got an empty tensor")
 
 
-def marker_positions(backbone: PCCBackbone, q: Tensor, L0: Tensor, abscissae: Tensor) -> Tensor:
+def marker_positions(backbone: KinematicModel, q: Tensor, L0: Tensor, abscissae: Tensor) -> Tensor:
     """Where material points lie on an arm, by algorithm 1.
 
     Args:

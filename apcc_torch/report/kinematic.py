@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from torch import Tensor
 
 from apcc_torch.errors import ShapeError
-from apcc_torch.model.backbone import PCCBackbone
+from apcc_torch.model.kinematic_model import KinematicModel
 from apcc_torch.report import style
 from apcc_torch.report.backbone_drawing import (
     Snapshots,
@@ -36,7 +36,7 @@ def select_row(log: KinematicLog, index: int | tuple[int, ...]) -> KinematicLog:
     return KinematicLog(log.time, *(field[at] for field in log[1:]))
 
 
-def check_row(log: KinematicLog, pi: Tensor, backbone: PCCBackbone) -> None:
+def check_row(log: KinematicLog, pi: Tensor, backbone: KinematicModel) -> None:
     """Raises ShapeError where the log is not one row's, or does not fit the arm."""
     T = len(check_tensor("log.time", log.time, (None,)))
     for name, width in (("x_d", 3), ("x", 3), ("q_true", backbone.n), ("q_bar", backbone.n)):
@@ -51,7 +51,7 @@ def _one_row(name: str, field: Tensor, T: int, width: int) -> None:
 
 
 def snapshots(
-    log: KinematicLog, pi: Tensor, abscissae: Tensor, backbone: PCCBackbone, end: float, count: int, points: int = 90
+    log: KinematicLog, pi: Tensor, abscissae: Tensor, backbone: KinematicModel, end: float, count: int, points: int = 90
 ) -> Snapshots:
     """Moments of one row's log, spread over [0, end] s; arguments as `convergence_figure`."""
     at = torch.tensor(spread_indices(log.time, float(log.time[0]), end, count), device=log.time.device)
@@ -69,7 +69,7 @@ def convergence_figure(
     log: KinematicLog,
     pi: Tensor,
     abscissae: Tensor,
-    backbone: PCCBackbone,
+    backbone: KinematicModel,
     end: float = 3.0,
     count: int = 6,
     shape_error: Tensor | None = None,
@@ -98,7 +98,7 @@ def convergence_figure(
     lower = figure.add_gridspec(1, 3, left=0.07, right=0.985, bottom=0.085, top=0.375, wspace=0.3)
     panels = [figure.add_subplot(lower[0, c]) for c in range(3)]
     draw_tip_error(panels[0], log)
-    draw_length(panels[1], log, pi)
+    draw_length(panels[1], log, pi, backbone)
     if shape_error is None:
         shape_error = backbone_error(backbone, log.q_true, pi, backbone, log.q_bar, log.pi_hat)
     draw_shape_error(panels[2], log, shape_error)
@@ -133,11 +133,11 @@ def draw_tip_error(ax: Axes, log: KinematicLog) -> None:
     style.fit_time(ax, time)
 
 
-def draw_length(ax: Axes, log: KinematicLog, pi: Tensor) -> None:
-    """Total lengths in m, the sum of L0 + dL, of the true system and of the model."""
+def draw_length(ax: Axes, log: KinematicLog, pi: Tensor, backbone: KinematicModel) -> None:
+    """Total lengths in m, of the true system and of the model."""
     time = values(log.time)
-    true = values((pi + log.q_true[..., 2::3]).sum(-1))
-    model = values((log.pi_hat + log.q_bar[..., 2::3]).sum(-1))
+    true = values(backbone.section_lengths(log.q_true, pi).sum(-1))
+    model = values(backbone.section_lengths(log.q_bar, log.pi_hat).sum(-1))
     ax.plot(time, true, color=style.TRUE, linewidth=3.6, alpha=0.55, label="true system")
     ax.plot(time, model, color=style.MODEL, linewidth=1.6, label="virtual model")
     style.dress(ax, TIME, "total length (m)")
@@ -209,7 +209,7 @@ def _draw_sensors(ax: Axes, time: Array, error: Array, names: Sequence[str]) -> 
 
 
 def kinematic_figures(
-    log: KinematicLog, pi: Tensor, abscissae: Tensor, backbone: PCCBackbone, shape_error: Tensor | None = None
+    log: KinematicLog, pi: Tensor, abscissae: Tensor, backbone: KinematicModel, shape_error: Tensor | None = None
 ) -> dict[str, Figure]:
     """{file name: figure} of one row's run; arguments as `convergence_figure`."""
     return {

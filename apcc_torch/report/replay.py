@@ -12,6 +12,7 @@ from matplotlib.patches import Patch
 from torch import Tensor
 
 from apcc_torch.errors import ShapeError
+from apcc_torch.model.coordinates import CONSTANT_CURVATURE, Coordinates
 from apcc_torch.report import style
 from apcc_torch.report.style import Array, values
 from apcc_torch.shapes import check_tensor
@@ -58,7 +59,12 @@ def check_replay(curves: ReplayCurves) -> None:
             raise ShapeError(f"{name} must have shape {(T, k)}, got {tuple(getattr(curves, name).shape)}")
 
 
-def replay_figure(curves: ReplayCurves, names: Sequence[str] | None = None, title: str = "") -> Figure:
+def replay_figure(
+    curves: ReplayCurves,
+    names: Sequence[str] | None = None,
+    title: str = "",
+    coordinates: Coordinates = CONSTANT_CURVATURE,
+) -> Figure:
     """Bends, elongations, residuals of positions and rotations, and a timeline of the gate.
 
     A residual is drawn where the gate let its measurement through; ticks over the panel mark the frames held back, a
@@ -68,6 +74,7 @@ def replay_figure(curves: ReplayCurves, names: Sequence[str] | None = None, titl
         curves: The replay.
         names: The sensors' names, k of them; None numbers them.
         title: Text over the figure.
+        coordinates: What q_bar is made of.
 
     Raises:
         ShapeError, DtypeError: The fields do not fit each other.
@@ -82,7 +89,7 @@ def replay_figure(curves: ReplayCurves, names: Sequence[str] | None = None, titl
         5, 1, sharex=True, height_ratios=(1.35, 1.0, 1.1, 1.1, 0.35 + 0.28 * k)
     )
     time = values(curves.time)
-    _draw_configuration(bends, lengths, time, values(curves.q_bar))
+    _draw_configuration(bends, lengths, time, curves.q_bar, coordinates)
     _draw_residuals(linear, time, 1e3 * values(curves.linear), values(curves.position_reason), heads)
     _draw_residuals(angular, time, 1e2 * values(curves.angular), values(curves.orientation_reason), heads)
     style.dress(linear, "", "linear\nresidual (mm)")
@@ -100,12 +107,13 @@ def _above(ax: Axes, columns: int) -> None:
     style.legend(ax, loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=columns, columnspacing=1.3, borderpad=0.1)
 
 
-def _draw_configuration(bends: Axes, lengths: Axes, time: Array, q: Array) -> None:
-    for i in range(q.shape[1] // 3):
+def _draw_configuration(bends: Axes, lengths: Axes, time: Array, q: Tensor, coordinates: Coordinates) -> None:
+    bend, stretch = values(coordinates.bends(q)), values(q[:, coordinates.elongations])
+    for i in range(stretch.shape[1]):
         color = style.SERIES[i % len(style.SERIES)]
-        bends.plot(time, q[:, 3 * i], color=color, linewidth=1.5, label=f"section {i + 1}")
-        bends.plot(time, q[:, 3 * i + 1], color=color, linewidth=1.2, linestyle=(0, (4, 1.5)))
-        lengths.plot(time, 1e2 * q[:, 3 * i + 2], color=color, linewidth=1.5)
+        bends.plot(time, bend[:, i, 0], color=color, linewidth=1.5, label=f"section {i + 1}")
+        bends.plot(time, bend[:, i, 1], color=color, linewidth=1.2, linestyle=(0, (4, 1.5)))
+        lengths.plot(time, 1e2 * stretch[:, i], color=color, linewidth=1.5)
     style.dress(bends, "", "bend (rad)", r"$\Delta_x$ solid, $\Delta_y$ dashed")
     style.dress(lengths, "", "elongation (cm)")
     _above(bends, 6)

@@ -22,7 +22,7 @@ from apcc_torch.native.compiled import compiled
 from apcc_torch.settings import hold_rows
 from apcc_torch.simulation.plant import Plant, PlantState
 from apcc_torch.simulation.progress import Progress, quiet
-from apcc_torch.simulation.rows import Rows
+from apcc_torch.simulation.rollout import rollout
 from apcc_torch.simulation.sensors import Draws, PoseSensors, SensorState
 from apcc_torch.simulation.trajectory import Trajectory
 
@@ -36,6 +36,7 @@ class DynamicSettings:
     substeps: Plant steps in one control period.
     settle: s during which the tendons hold their zero lengths and the arm comes to rest under gravity.
     compile: How a period is run, one of `native.compiled.MODES`; compiled code has no gradients.
+    checkpointed: See `rollout`; the settling too.
     """
 
     duration: float = 10.0
@@ -43,6 +44,7 @@ class DynamicSettings:
     substeps: int = 4
     settle: float = 3.0
     compile: str = "off"
+    checkpointed: bool = False
 
     def __post_init__(self) -> None:
         """Raises ValueRangeError where a time or rate is not positive."""
@@ -56,7 +58,7 @@ class DynamicSettings:
 class DynamicLog(NamedTuple):
     """A closed-loop run, time first; R rows.
 
-    time: (T,) s. x_d, x: (T, R, 3) m. q_true: (T, R, 3 n_t). q_bar, q_d: (T, R, 3 n_b). pi_hat: (T, R, n_b) m.
+    time: (T,) s. x_d, x: (T, R, 3) m. q_true: (T, R, 3 n_t). q_bar, q_d: (T, R, n). pi_hat: (T, R, n_b) m.
     angular_error, linear_error: (T, R, k) rad, m. status: (T, R) `FeedbackStatus`. y, y_d: (T, R, n_a) m.
     u: (T, R, n_a) N. diverged_at: (R,) int64 control step at which a row left its bounds, -1 if it did not.
     """
@@ -138,14 +140,15 @@ class ClosedLoop(nn.Module):
             pi_hat: (..., n_b) first estimates, m.
         """
         T = self.poses(arm.arm.q)
-        controller, routing = self.controller, self.controller.routing
-        assert routing is not None  # refused above
+        controller = self.controller
         q = torch.zeros(*T.shape[:-3], controller.backbone.n, dtype=T.dtype, device=T.device)
         # The arm hangs nearly straight; a few rounds of algorithm 2 leave no trace of the first guess.
         for _ in range(5):
             q = controller.feedback(q, pi_hat, T).q_bar
         state = controller.initial_state(q, pi_hat, torch.zeros((), dtype=T.dtype, device=T.device))
-        return LoopState(arm, state, self.sensors.initial_state(T), routing.lengths(state.q_d, state.pi_hat))
+        y = controller.tendons(state.q_d, state.pi_hat)
+        assert y is not None  # refused above
+        return LoopState(arm, state, self.sensors.initial_state(T), y)
 
     def blank(self) -> tuple[LoopState, Tensor, Tensor, Draws]:
         """Arguments of the form that one row has: what a compiler needs to see."""
@@ -226,13 +229,17 @@ def simulate_dynamic(
     loop = ClosedLoop(plant, controller, sensors, trajectory, period, settings.substeps)
     _, time, k, _ = example = loop.blank()
     step = compiled(loop, example, settings.compile, plant.payload.numel())
-    arm = plant.settled(settings.settle, period / settings.substeps, settings.compile)
+    arm = plant.settled(settings.settle, period / settings.substeps, settings.compile, settings.checkpointed)
     now = loop.start(arm, pi_hat)
+    poses = now.sensors.queue[..., 0, :, :, :]
+
+    def arguments(index: int) -> tuple[Tensor, Tensor, Draws]:
+        return time + index * period, k + index, sensors.draw(poses, generator)
+
+    def one(now: LoopState, time: Tensor, k: Tensor, draws: Draws) -> tuple[LoopState, tuple[Tensor, ...]]:
+        now, row = step(now, time, k, draws)
+        return now, (time, *row)
+
     steps = round(settings.duration * settings.control_rate) + 1
-    log = Rows(steps)
-    for index in progress(range(steps)):
-        moment = time + index * period
-        draws = sensors.draw(now.sensors.queue[..., 0, :, :, :], generator)
-        now, row = step(now, moment, k + index, draws)
-        log.add((moment, *row))
-    return DynamicLog(*[*log.stacked(), now.plant.diverged_at])
+    now, fields = rollout(one, now, arguments, steps, settings.checkpointed, progress)
+    return DynamicLog(*[*fields, now.plant.diverged_at])

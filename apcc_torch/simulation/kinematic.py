@@ -12,11 +12,11 @@ from apcc_torch.control.signals import ControllerState, Measurement
 from apcc_torch.errors import ValueRangeError
 from apcc_torch.linalg import damped_pseudo_inverse
 from apcc_torch.model.abscissae import decouple
-from apcc_torch.model.backbone import PCCBackbone
+from apcc_torch.model.kinematic_model import KinematicModel
 from apcc_torch.native.compiled import compiled
 from apcc_torch.settings import hold_rows
 from apcc_torch.simulation.progress import Progress, quiet
-from apcc_torch.simulation.rows import Rows
+from apcc_torch.simulation.rollout import rollout
 from apcc_torch.simulation.trajectory import Trajectory
 
 
@@ -25,8 +25,8 @@ class KinematicLog(NamedTuple):
 
     time: (T,) s.
     x_d: (T, ..., 3) desired, and x: (T, ..., 3) true end-effector position, m.
-    q_true: (T, ..., 3 n_b) true configuration.
-    q_bar: (T, ..., 3 n_b) inferred configuration.
+    q_true: (T, ..., n) true configuration.
+    q_bar: (T, ..., n) inferred configuration.
     pi_hat: (T, ..., n_b) estimates, m.
     angular_error: (T, ..., k) rad, and linear_error: (T, ..., k) m, of algorithm 2.
     status: (T, ...) `FeedbackStatus`.
@@ -44,7 +44,7 @@ class KinematicLog(NamedTuple):
 
 
 def start_configuration(
-    backbone: PCCBackbone, L0: Tensor, x: Tensor, q: Tensor | None = None, iterations: int = 60
+    backbone: KinematicModel, L0: Tensor, x: Tensor, q: Tensor | None = None, iterations: int = 60
 ) -> Tensor:
     """A configuration (..., n) whose tip is at x, by damped Newton steps from q (default: the straight arm).
 
@@ -72,7 +72,7 @@ def start_configuration(
 
 
 class ExactState(NamedTuple):
-    """q (..., 3 n_b) and pi_hat (..., n_b), m, of the proof's case."""
+    """q (..., n) and pi_hat (..., n_b), m, of the proof's case."""
 
     q: Tensor
     pi_hat: Tensor
@@ -136,7 +136,7 @@ class ExactLoop(nn.Module):
 
 
 class FeedbackState(NamedTuple):
-    """The true arm's q (..., 3 n_b), and what the controller remembers."""
+    """The true arm's q (..., n), and what the controller remembers."""
 
     q: Tensor
     controller: ControllerState
@@ -206,6 +206,7 @@ def simulate_exact(
     rate: float,
     progress: Progress = quiet,
     compile: str = "off",
+    checkpointed: bool = False,
 ) -> KinematicLog:
     """The proof's case: q is known, so the loop is the differential equation of Eqs. (13)-(15); RK4 at `rate`.
 
@@ -218,10 +219,11 @@ def simulate_exact(
         rate: Steps a second, Hz.
         progress: Wraps the step counter, for a progress bar.
         compile: How a step is run, one of `native.compiled.MODES`; compiled code has no gradients.
+        checkpointed: See `rollout`.
     """
     pi, pi_hat = torch.broadcast_tensors(pi, pi_hat)
     loop = ExactLoop(controller, pi, trajectory, 1.0 / rate)
-    return _run(loop, loop.start(pi_hat), loop.blank(), round(duration * rate) + 1, progress, compile)
+    return _run(loop, loop.start(pi_hat), loop.blank(), round(duration * rate) + 1, progress, compile, checkpointed)
 
 
 def simulate_feedback(
@@ -233,6 +235,7 @@ def simulate_feedback(
     rate: float,
     progress: Progress = quiet,
     compile: str = "off",
+    checkpointed: bool = False,
 ) -> KinematicLog:
     """Section V-A whole: sensors on the true arm, algorithm 2 and the law in the loop. Fig. 6 [Dalenberg].
 
@@ -247,10 +250,11 @@ def simulate_feedback(
         rate: Control rate, Hz.
         progress: Wraps the step counter, for a progress bar.
         compile: How a step is run, one of `native.compiled.MODES`; compiled code has no gradients.
+        checkpointed: See `rollout`.
     """
     pi, pi_hat = torch.broadcast_tensors(pi, pi_hat)
     loop = FeedbackLoop(controller, pi, trajectory, 1.0 / rate)
-    return _run(loop, loop.start(pi_hat), loop.blank(), round(duration * rate) + 1, progress, compile)
+    return _run(loop, loop.start(pi_hat), loop.blank(), round(duration * rate) + 1, progress, compile, checkpointed)
 
 
 def _run(
@@ -260,12 +264,14 @@ def _run(
     steps: int,
     progress: Progress,
     compile: str,
+    checkpointed: bool,
 ) -> KinematicLog:
     """All steps of a loop from a state; `blank` is the form of one row."""
     step = compiled(loop, blank, compile, now.q.shape[:-1].numel())
-    log = Rows(steps)
-    for k in progress(range(steps)):
-        time = blank[1] + k * loop.dt
+
+    def period(now: ExactState | FeedbackState, time: Tensor) -> tuple[ExactState | FeedbackState, tuple[Tensor, ...]]:
         now, row = step(now, time)
-        log.add((time, *row))
-    return KinematicLog(*log.stacked())
+        return now, (time, *row)
+
+    _, fields = rollout(period, now, lambda k: (blank[1] + k * loop.dt,), steps, checkpointed, progress)
+    return KinematicLog(*fields)

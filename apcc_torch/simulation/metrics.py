@@ -7,8 +7,7 @@ from torch import Tensor
 
 from apcc_torch.lie import so3
 from apcc_torch.model.abscissae import decouple
-from apcc_torch.model.arc import squared_bend
-from apcc_torch.model.backbone import PCCBackbone
+from apcc_torch.model.kinematic_model import KinematicModel
 from apcc_torch.shapes import check_same, check_tensor
 
 SHAPE_POINTS = 500
@@ -32,10 +31,10 @@ def shape_error(p_true: Tensor, p_approx: Tensor) -> Tensor:
 
 
 def backbone_error(
-    true: PCCBackbone,
+    true: KinematicModel,
     q_true: Tensor,
     L0_true: Tensor,
-    model: PCCBackbone,
+    model: KinematicModel,
     q: Tensor,
     L0: Tensor,
     N: int = SHAPE_POINTS,
@@ -60,33 +59,10 @@ def backbone_error(
     flat = [v.expand(*batch, v.shape[-1]).reshape(-1, v.shape[-1]) for v in (q_true, L0_true, q, L0)]
     share = torch.linspace(0.0, 1.0, N, dtype=q.dtype, device=q.device)
     errors = [
-        _distance(_points(true, a, b, share), _points(model, c, d, share)).mean(-1)  # Eq. (52)
+        _distance(true.curve(a, b, share), model.curve(c, d, share)).mean(-1)  # Eq. (52)
         for a, b, c, d in zip(*(v.split(chunk_rows) for v in flat), strict=True)
     ]
     return torch.cat(errors).reshape(batch)
-
-
-def _points(backbone: PCCBackbone, q: Tensor, L0: Tensor, share: Tensor) -> Tensor:
-    """`PCCBackbone.points` (R, 3, N) m at shares (N,) of the curve's length, without a lookup of each point's section.
-
-    Every section adds its arc up to the point: nothing before it begins, all of it once it has ended. An arc of angle
-    phi and curvature kappa reaches sin(phi) / kappa along its first tangent and (1 - cos(phi)) / kappa towards its
-    bend; by the half angle h = phi / 2 these are 2 sin(h) cos(h) / kappa and 2 sin(h)^2 / kappa, exact however small
-    kappa is.
-    """
-    chain = backbone.chain(q, L0)
-    # A section squeezed to nothing has the floor of `PCCBackbone.points`, a straight one a bend that cannot be seen.
-    measure = (L0 + q[..., 2::3]).clamp(min=1e-9)
-    ends = measure.cumsum(-1)
-    bend = torch.sqrt(squared_bend(chain.x, chain.y)).clamp(min=1e-30)
-    half = 0.5 * bend
-    rate = half / measure
-    begin, whole = (rate * (measure - ends)).unsqueeze(-1), (rate * ends[..., -1:]).unsqueeze(-1)
-    h = torch.clamp(torch.addcmul(begin, share, whole), torch.zeros_like(begin), half.unsqueeze(-1))
-    sine = torch.sin(h)
-    x, y, z = (chain.before * (chain.length / half)[..., None, None]).unbind(-1)
-    towards = (chain.x / bend).unsqueeze(-1) * x + (chain.y / bend).unsqueeze(-1) * y
-    return torch.baddbmm(towards.mT @ (sine * sine), z.mT, sine * torch.cos(h))
 
 
 def _distance(p: Tensor, other: Tensor) -> Tensor:
@@ -95,7 +71,7 @@ def _distance(p: Tensor, other: Tensor) -> Tensor:
     return torch.addcmul(torch.addcmul(x * x, y, y), z, z).sqrt()
 
 
-def mapping_error(model: PCCBackbone, q_d: Tensor, pi_hat: Tensor, x_measured: Tensor) -> Tensor:
+def mapping_error(model: KinematicModel, q_d: Tensor, pi_hat: Tensor, x_measured: Tensor) -> Tensor:
     """Distance (...) m between where q_d should put the tip and where it is. Eq. (53) [Dalenberg].
 
     Args:
@@ -107,7 +83,7 @@ def mapping_error(model: PCCBackbone, q_d: Tensor, pi_hat: Tensor, x_measured: T
     return (model.tip(q_d, pi_hat) - x_measured).norm(dim=-1)  # Eq. (53)
 
 
-def orientation_error(model: PCCBackbone, q: Tensor, pi_hat: Tensor, abscissae: Tensor, rotation: Tensor) -> Tensor:
+def orientation_error(model: KinematicModel, q: Tensor, pi_hat: Tensor, abscissae: Tensor, rotation: Tensor) -> Tensor:
     """Angles (..., k) rad between the model's orientations at the sensors and the true ones, measured or not.
 
     Args:

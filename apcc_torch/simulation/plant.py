@@ -16,6 +16,7 @@ from apcc_torch.model.integrators import Actuation, ArmState, guard, semi_implic
 from apcc_torch.model.tendons import TendonRouting
 from apcc_torch.native.compiled import compiled
 from apcc_torch.settings import Setting, aligned, check_setting, hold, hold_rows
+from apcc_torch.simulation.rollout import rollout
 
 
 class PlantState(NamedTuple):
@@ -128,13 +129,14 @@ class Plant(nn.Module):
         z = torch.where((diverged_at < 0).unsqueeze(-1), z, now.z)
         return PlantState(ArmState(*kept.split(self.backbone.n, dim=-1)), z, diverged_at)
 
-    def settled(self, duration: float, dt: float, compile: str = "off") -> PlantState:
+    def settled(self, duration: float, dt: float, compile: str = "off", checkpointed: bool = False) -> PlantState:
         """The arm at rest under gravity with its tendons held at their zero lengths.
 
         Args:
             duration: How long it may take, s.
             dt: Step, s.
             compile: How the steps are run, see `native.compiled`.
+            checkpointed: See `rollout`.
         """
         straight = self.straight(self.payload.shape)
         steps = round(duration / dt)
@@ -142,7 +144,10 @@ class Plant(nn.Module):
             return straight
         one = PlantStep(self, dt)
         step = compiled(one, one.blank(), compile, self.payload.numel(), carries=True)
-        return step(straight, TendonReference(straight.z, straight.z), repeats=steps)
+        held = TendonReference(straight.z, straight.z)
+        if checkpointed:
+            return rollout(lambda now: (step(now, held), ()), straight, lambda k: (), steps, checkpointed)[0]
+        return step(straight, held, repeats=steps)
 
     def straight(self, batch: tuple[int, ...]) -> PlantState:
         """Straight arms without motion, tendons at their zero lengths."""

@@ -13,7 +13,7 @@ from apcc_torch.errors import ConfigError, DataError, ShapeError, ValueRangeErro
 from apcc_torch.estimation.savitzky_golay import SavitzkyGolay, SavitzkyGolayState
 from apcc_torch.estimation.state_feedback import Feedback, StateFeedback
 from apcc_torch.lie import se3
-from apcc_torch.model.backbone import PCCBackbone
+from apcc_torch.model.kinematic_model import KinematicModel
 from apcc_torch.simulation.calibration import Calibration
 from apcc_torch.simulation.gating import GateVerdict, SensorGate
 from apcc_torch.simulation.progress import Progress, quiet
@@ -200,7 +200,12 @@ def _derivative(smooth: SavitzkyGolay, q_bar: Tensor, time: Tensor) -> Tensor:
 
 
 def _target(
-    position: Tensor, recording: Recording, calibration: Calibration, backbone: PCCBackbone, frames: slice, like: Tensor
+    position: Tensor,
+    recording: Recording,
+    calibration: Calibration,
+    backbone: KinematicModel,
+    frames: slice,
+    like: Tensor,
 ) -> Target:
     """The recorded target in the world frame, (N, 3) m, and its backward difference, m/s; 0 for the first frame."""
     if not bool(position.isfinite().all()):
@@ -267,7 +272,7 @@ def held_out_error(
     shown = ~torch.eye(k, dtype=torch.bool)[: k - 1]
     pi_hat = torch.stack([torch.diff(X[row], prepend=X.new_zeros(1)) for row in shown])
     fewer = StateFeedback(
-        PCCBackbone(k - 1, feedback.backbone.base_rotation.cpu()),
+        feedback.backbone.resized(k - 1).cpu(),
         X,
         **{name: getattr(feedback, name) for name in _SETTINGS},
     )

@@ -136,9 +136,9 @@ def replay_metrics(
         if held_out is not None and i < held_out.linear.shape[-1]:
             found[f"held_out_error_linear_mean_mm_{name}"] = 1e3 * _mean(held_out.linear[:, i])
             found[f"held_out_error_angular_mean_rad_{name}"] = _mean(held_out.angular[:, i])
-    elongation = log.q_bar[:, 2::3].abs()
-    found["elongation_max_mm"] = 1e3 * float(elongation.max())
-    found["bend_max_rad"] = float(log.q_bar.unflatten(-1, (-1, 3))[..., :2].norm(dim=-1).max())
+    coordinates = feedback.backbone.coordinates
+    found["elongation_max_mm"] = 1e3 * float(log.q_bar[:, coordinates.elongations].abs().max())
+    found["bend_max_rad"] = float(coordinates.bends(log.q_bar).norm(dim=-1).max())
     if bool(log.e.any()):
         found["end_effector_error_mean_mm"] = 1e3 * _mean(log.e.norm(dim=-1))
     return found

@@ -22,7 +22,7 @@ def test_the_tracked_point_moves_at_its_velocity() -> None:
     task = Track(ARM, LIKE)
     _, goal = task.draw(streams(0, 8, torch.device("cpu")), LENGTHS)
     time = torch.linspace(0.0, 3.0, 8, dtype=torch.float64).requires_grad_()
-    x_d, xdot_d = task.target(goal, time)
+    x_d, xdot_d, _ = task.target(goal, time)
     for axis in range(3):
         (rate,) = torch.autograd.grad(x_d[:, axis].sum(), time, retain_graph=True)
         torch.testing.assert_close(rate, xdot_d[:, axis])

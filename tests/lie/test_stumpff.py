@@ -10,7 +10,7 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from apcc_torch.lie.stumpff import stumpff
+from apcc_torch.lie.stumpff import stumpff, stumpff_c7
 from laws import FLOATS, check_bad_row, check_batching, check_gradients, generator, uniform
 
 # The straight pose, the seam between series and closed form, multiples of half a turn, far beyond any arc.
@@ -41,6 +41,12 @@ def test_values_match_fifty_digits(dtype: torch.dtype) -> None:
 def test_values_match_fifty_digits_anywhere(x: float) -> None:
     for m, c in enumerate(stumpff(torch.tensor(x, dtype=torch.float64))):
         assert abs(c.item() - reference(m, x)) < 2e-15 / factorial(max(m - 1, 0)), f"c_{m}"
+
+
+@given(x=st.floats(0.0, 60.0))
+def test_c7_matches_fifty_digits_anywhere(x: float) -> None:
+    at = torch.tensor(x, dtype=torch.float64)
+    assert abs(stumpff_c7(at, stumpff(at).c5).item() - reference(7, x)) < 2e-15 / factorial(6)
 
 
 def test_zero_is_the_inverse_factorial() -> None:

@@ -1,0 +1,40 @@
+"""A Savitzky-Golay window without an edge: each sample has a weight, which gradients can tune."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from apcc_torch.errors import ValueRangeError
+from apcc_torch.estimation.savitzky_golay import SavitzkyGolay
+from apcc_torch.settings import hold_rows
+from apcc_torch.shapes import check_positive, check_tensor
+
+
+class SoftWindow(SavitzkyGolay):
+    """Derivative of the polynomial that fits the last N samples best by weighted squares, at the newest time stamp.
+
+    With equal weights it is `SavitzkyGolay`. Whatever they are, it is exact on polynomials of its order, also while
+    the buffer fills and where samples are missing or uneven. Its result is differentiable in the weights, which are
+    positive: tune their logarithms.
+
+    Args:
+        weights: (..., N) positive weights of the squares, the newest sample's last; only their ratios matter.
+        order: Degree of the polynomial, less than N.
+        derivative: Which derivative, at most `order`.
+
+    Raises:
+        ShapeError, ValueRangeError: An argument is out of its range.
+    """
+
+    weights: Tensor
+
+    def __init__(self, weights: Tensor, order: int, derivative: int = 1) -> None:
+        check_positive("weights", check_tensor("weights", weights, (None,)))
+        super().__init__(weights.shape[-1], order, derivative)
+        if float((weights.detach().amin(-1) / weights.detach().amax(-1)).min()) < torch.finfo(weights.dtype).eps:
+            raise ValueRangeError("weights must not differ by more than the number of digits of their dtype")
+        hold_rows(self, weights=(weights / weights.amax(-1, keepdim=True), 1))
+
+    def _importance(self, like: Tensor) -> Tensor:
+        return self.weights.to(like)

@@ -1,0 +1,67 @@
+"""Many periods of a loop in a row, with a log; for gradients over long times, with few of its states kept.
+
+A gradient needs what every period computed. Checkpointed, only each segment's first state and its rows of the log are
+kept, and a segment is computed again when the gradient comes back to it. Segments of about the square root of the
+number of periods take the least memory, which then grows as that root; the time is that of one more run.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from math import isqrt
+from typing import Any, TypeVar
+
+import torch
+from torch import Tensor
+from torch.utils.checkpoint import checkpoint
+
+from apcc_torch.simulation.progress import Progress, quiet
+from apcc_torch.simulation.rows import Rows
+
+S = TypeVar("S")
+Period = Callable[..., tuple[S, Sequence[Tensor]]]
+"""(state, *arguments) -> the state one period later, and a row of the log."""
+
+
+def rollout(
+    period: Period[S],
+    state: S,
+    arguments: Callable[[int], tuple[Any, ...]],
+    steps: int,
+    checkpointed: bool = False,
+    progress: Progress = quiet,
+) -> tuple[S, list[Tensor]]:
+    """Runs a loop.
+
+    Args:
+        period: One period; without chance of its own, so that it computes the same again.
+        state: A tree of tensors.
+        arguments: Number of a period -> what it is given besides the state. Called once a period, in order, so chance
+            may be drawn here.
+        steps: How many periods.
+        checkpointed: Whether segments of about sqrt(steps) periods are computed again for a gradient. Without
+            gradients it changes nothing.
+        progress: Wraps the step counter, for a progress bar.
+
+    Returns:
+        The last state, and the fields of the log, (steps, ...) each.
+    """
+    log = Rows(steps)
+    counter = iter(progress(range(steps)))
+    length = max(isqrt(steps), 1) if checkpointed and torch.is_grad_enabled() else 1
+
+    def segment(now: S, given: list[tuple[Any, ...]]) -> tuple[S, list[Sequence[Tensor]]]:
+        rows = []
+        for one in given:
+            now, row = period(now, *one)
+            rows.append(row)
+        return now, rows
+
+    while given := [arguments(k) for _, k in zip(range(length), counter, strict=False)]:
+        if length > 1:
+            state, rows = checkpoint(segment, state, given, use_reentrant=False, preserve_rng_state=False)
+        else:
+            state, rows = segment(state, given)
+        for row in rows:
+            log.add(row)
+    return state, log.stacked()

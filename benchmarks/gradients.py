@@ -1,0 +1,109 @@
+"""What a gradient through section V-A costs: `python benchmarks/gradients.py [--periods 100] [--rows 1]`.
+
+Prints time and memory of a run without gradients, and of a run and its gradient by K and Gamma with the fixed point's
+implicit derivative, through every iteration, and with checkpoints. All ways take turns and each keeps its fastest time;
+memory is the largest of a process of its own.
+"""
+
+from __future__ import annotations
+
+import argparse
+import resource
+import time
+from math import pi
+from multiprocessing import get_context
+
+import torch
+from torch import Tensor
+
+from apcc_torch import AdaptiveLaw, APCCController, InverseKinematics, PCCBackbone, SavitzkyGolay, StateFeedback
+from apcc_torch.model.backbone import HANGING
+from apcc_torch.simulation.kinematic import KinematicLog, simulate_feedback
+from apcc_torch.simulation.trajectory import SineTrajectory
+
+D = torch.float64
+TRUE = torch.tensor([0.105, 0.255, 0.240], dtype=D)
+GUESS = torch.tensor([0.120, 0.280, 0.270], dtype=D)
+SENSORS = torch.tensor([0.105, 0.36, 0.60], dtype=D)
+PATH = SineTrajectory(torch.tensor([0.0, 0.0, -0.5], dtype=D), torch.tensor([0.5, 0.3, 0.1], dtype=D), 0.2 * pi)
+RATE = 100.0
+WAYS = {
+    "no gradient": ("implicit", False),
+    "implicit": ("implicit", False),
+    "unrolled": ("unrolled", False),
+    "implicit, checkpointed": ("implicit", True),
+}
+
+
+def run(gains: tuple[Tensor, Tensor], way: str, periods: int, rows: int) -> KinematicLog:
+    """One run of section V-A."""
+    gradient, checkpointed = WAYS[way]
+    K, gamma = gains
+    backbone = PCCBackbone(3, torch.tensor(HANGING, dtype=D))
+    controller = APCCController(
+        backbone,
+        StateFeedback(backbone, SENSORS, gradient=gradient),
+        SavitzkyGolay(15, 2),
+        InverseKinematics(K, null_gain=1.0),
+        AdaptiveLaw(3, gamma, normalisation=10.0, reach=0.6),
+    )
+    start = GUESS.expand(rows, 3)
+    return simulate_feedback(controller, TRUE, start, PATH, (periods - 1) / RATE, RATE, checkpointed=checkpointed)
+
+
+def seconds(way: str, periods: int, rows: int) -> float:
+    """Time of one run, with its gradient if the way has one."""
+    gains = (torch.tensor(1.0, dtype=D), torch.tensor([90.0, 42.5, 35.0], dtype=D))
+    started = time.perf_counter()
+    if way == "no gradient":
+        with torch.no_grad():
+            run(gains, way, periods, rows)
+        return time.perf_counter() - started
+    for gain in gains:
+        gain.requires_grad_()
+    log = run(gains, way, periods, rows)
+    loss = (log.x_d - log.x).square().sum() + (log.pi_hat - TRUE).square().sum()
+    torch.autograd.grad(loss, gains)
+    return time.perf_counter() - started
+
+
+def peak(way: str, periods: int, rows: int) -> float:
+    """By how much one run raises this process's largest resident memory, MiB: for a process of its own."""
+    torch.set_num_threads(1)
+    seconds(way, 4, 1)  # what is loaded at the first gradient is not the run's
+    before, _, after = (resident(), seconds(way, periods, rows), resident())
+    return after - before
+
+
+def resident() -> float:
+    """The largest resident memory of this process so far, MiB."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+
+
+def main() -> None:
+    """Measures and prints."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--periods", type=int, default=100)
+    parser.add_argument("--rows", type=int, default=1)
+    parser.add_argument("--repeats", type=int, default=5)
+    given = parser.parse_args()
+    torch.set_num_threads(1)
+    # First, for a process inherits the largest memory of the one that starts it.
+    memory = {}
+    for way in WAYS:
+        with get_context("spawn").Pool(1) as alone:
+            memory[way] = alone.apply(peak, (way, given.periods, given.rows))
+    times: dict[str, list[float]] = {way: [] for way in WAYS}
+    for _ in range(given.repeats):
+        for way, found in times.items():
+            found.append(seconds(way, given.periods, given.rows))
+    fastest = {way: min(found) for way, found in times.items()}
+    print(f"{given.periods} periods of {given.rows} rows, best of {given.repeats}")
+    for way, best in fastest.items():
+        ratio = best / fastest["no gradient"]
+        print(f"{way:24s} {best:8.3f} s  {ratio:5.2f} times the run alone  {memory[way]:8.1f} MiB")
+    print(f"implicit / unrolled: {fastest['implicit'] / fastest['unrolled']:.2f}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,172 @@
+"""Kinematic models compared: `python benchmarks/models.py` writes models.json and the table of docs/models.md.
+
+Section V-B's arm under 0.5 kg, poses seen, ten set-points, 6 s: every model with two, three and four sections, with
+fixed and with adapting rest lengths and the same settings otherwise. Beside what they reach, what one arm's step costs:
+eager, and with --compiled as machine code, which takes minutes to build for the larger models. About ten minutes.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from pathlib import Path
+
+import torch
+from hydra import compose, initialize_config_dir
+from hydra.core.config_store import ConfigStore
+from tqdm import tqdm
+
+from apcc_torch.conf_path import conf_path
+from apcc_torch.configs.build import Builder
+from apcc_torch.configs.schema import SimulateConfig
+from apcc_torch.configs.typed import typed
+from apcc_torch.control.controller import APCCController
+from apcc_torch.control.signals import Measurement, Target
+from apcc_torch.experiments.dynamic import curves, dynamic_metrics, simulate, thinned
+from apcc_torch.files import write_atomically, write_json
+from apcc_torch.native.function import NativeFunction
+
+MODELS: dict[str, tuple[str, ...]] = {
+    "constant curvature": ("model=pcc",),
+    "+ torsion": ("model=constant_strain",),
+    "+ torsion, shear": (
+        "model=constant_strain",
+        "model.settings.strains=[bend_x,bend_y,torsion,shear_x,shear_y,elongation]",
+    ),
+    "affine curvature": ("model=affine",),
+}  # fmt: skip
+SECTIONS = {2: (0.36, 0.24), 3: (0.105, 0.255, 0.24), 4: (0.105, 0.1275, 0.1275, 0.24)}
+POSES = ("experiment=dynamic_run_2_tuned", "experiment.payloads=[0.5]", "experiment.duration=6.0", "progress=false")
+CONTROLLERS = {
+    "fixed": ("controller.adaptive=false",),
+    "adaptive": (
+        "residual.tangents=measured",
+        "residual.time_constant=0.3",
+        "residual.nominal_weight=0.05",
+        "residual.elongation_weight=0.05",
+    ),
+}
+KEPT = (
+    "shape_error_mean_mm", "shape_error_max_mm", "sensor_error_linear_mean_mm", "sensor_error_angular_mean_rad",
+    "psi_mean_cm", "end_effector_error_end_mm", "diverged_rows",
+)  # fmt: skip
+LOST = 600.0  # mm, the arm's length: beyond it the estimate has run away
+START, END = "<!-- table: python benchmarks/models.py -->", "<!-- end of table -->"
+
+
+def _listed(lengths: tuple[float, ...], factor: float) -> str:
+    return "[" + ",".join(f"{factor * length:.4f}" for length in lengths) + "]"
+
+
+def settings(model: str, sections: int, controller: str) -> SimulateConfig:
+    """One setting's configuration."""
+    lengths = SECTIONS[sections]
+    ConfigStore.instance().store(name="simulate_schema", node=SimulateConfig)
+    asked = [
+        *POSES,
+        *CONTROLLERS[controller],
+        *MODELS[model],
+        f"robot.rest_lengths={_listed(lengths, 1.0)}",
+        f"adaptation.lower={_listed(lengths, 0.75)}",
+        f"adaptation.upper={_listed(lengths, 1.25)}",
+    ]
+    with initialize_config_dir(conf_path(), version_base="1.3"):
+        return typed(compose("simulate", asked), SimulateConfig)
+
+
+def _step_times(controller: APCCController, lengths: torch.Tensor, compiled: bool) -> dict[str, float]:
+    """Time of one arm's step in us, eager and compiled."""
+    like = torch.zeros((), dtype=lengths.dtype)
+    state = controller.initial_state(like.expand(controller.backbone.n).clone(), lengths, like)
+    T = torch.eye(4, dtype=like.dtype).expand(controller.feedback.abscissae.shape[-1], 4, 4).clone()
+    T[:, :3, :3] = controller.backbone.base_rotation
+    T[:, 2, 3] = -controller.feedback.abscissae
+    T[:, 0, 3] = controller.feedback.abscissae**2 * 0.5
+    target = Target(torch.tensor([0.2, 0.0, -0.5]).to(like), torch.zeros(3).to(like))
+    arguments = (state, Measurement(T, like + 0.01), target)
+    found = {"eager_us": _fast_us(controller, arguments, 150)}
+    if compiled:
+        found["compiled_us"] = _fast_us(NativeFunction(controller, arguments), arguments, 2000)
+    return found
+
+
+def _fast_us(step: object, arguments: tuple[object, ...], count: int) -> float:
+    """The time that a tenth of the calls stay below: what else the machine does shows least in it."""
+    assert callable(step)
+    times = []
+    for _ in range(count):
+        started = time.perf_counter()
+        step(*arguments)
+        times.append(1e6 * (time.perf_counter() - started))
+    return sorted(times)[count // 10]
+
+
+def measured(model: str, sections: int, controller: str, compiled: bool = False) -> dict[str, float]:
+    """What one setting reaches and costs."""
+    config = settings(model, sections, controller)
+    outcome = simulate(config)
+    metrics = dynamic_metrics(curves(thinned(outcome.log, 100), outcome.arms), outcome.log.diverged_at)
+    build = Builder(config)
+    with torch.inference_mode():
+        costs = _step_times(build.controller(), build.rest_lengths(), compiled)
+    return {name: metrics[name] for name in KEPT} | {"coordinates": float(build.backbone().n)} | costs
+
+
+def table(results: dict[str, dict[str, dict[str, dict[str, float]]]]) -> str:
+    """The results as a Markdown table."""
+    lines = [
+        "| model | sections | n | controller | shape error (mm) | largest (mm) | sensor error (mm) | (mrad) "
+        "| Psi (cm) | end effector (mm) | step, eager (us) | compiled (us) |",
+        "|---|---|---|---|---|---|---|---|---|---|---|---|",
+    ]
+    for model, by_sections in results.items():
+        for sections, by_controller in by_sections.items():
+            for controller, r in by_controller.items():
+                reached = [
+                    f"{r['shape_error_mean_mm']:.2f}", f"{r['shape_error_max_mm']:.1f}",
+                    f"{r['sensor_error_linear_mean_mm']:.2f}", f"{1e3 * r['sensor_error_angular_mean_rad']:.0f}",
+                    f"{r['psi_mean_cm']:.1f}", f"{r['end_effector_error_end_mm']:.0f}",
+                ]  # fmt: skip
+                if r["diverged_rows"] or r["shape_error_mean_mm"] > LOST:
+                    reached = ["lost"] + ["-"] * (len(reached) - 1)
+                compiled = f"{r['compiled_us']:.0f}" if "compiled_us" in r else ""
+                cells = [
+                    model,
+                    sections,
+                    f"{r['coordinates']:.0f}",
+                    controller,
+                    *reached,
+                    f"{r['eager_us']:.0f}",
+                    compiled,
+                ]
+                lines.append("| " + " | ".join(cells) + " |")
+    return "\n".join(lines)
+
+
+def main() -> None:
+    """Runs all settings, or writes the table again from their numbers."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--out", default="models.json", help="where the numbers go (default: %(default)s)")
+    parser.add_argument("--page", default="docs/models.md", help="the page that holds the table (default: %(default)s)")
+    parser.add_argument("--compiled", action="store_true", help="time compiled steps too")
+    parser.add_argument("--table", action="store_true", help="only write the table, from the file of --out")
+    options = parser.parse_args()
+    torch.set_num_threads(1)
+    results: dict[str, dict[str, dict[str, dict[str, float]]]] = {}
+    if options.table:
+        results = json.loads(Path(options.out).read_text(encoding="utf-8"))
+    else:
+        tasks = [(m, n, c) for m in MODELS for n in SECTIONS for c in CONTROLLERS]
+        for model, sections, controller in tqdm(tasks, desc="settings"):
+            found = measured(model, sections, controller, options.compiled)
+            results.setdefault(model, {}).setdefault(str(sections), {})[controller] = found
+            write_json(options.out, results)
+    page = Path(options.page)
+    before, _, rest = page.read_text(encoding="utf-8").partition(START)
+    _, _, after = rest.partition(END)
+    write_atomically(page, f"{before}{START}\n{table(results)}\n{END}{after}")
+
+
+if __name__ == "__main__":
+    main()

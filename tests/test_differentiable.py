@@ -1,0 +1,48 @@
+"""Parameters that ask for a gradient keep their graph when a module takes them in."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+import torch
+from torch import Tensor
+
+from apcc_torch.control.adaptation import AdaptiveLaw
+from apcc_torch.control.gain import gain_matrix
+from apcc_torch.control.residual_adaptation import ResidualLaw
+from apcc_torch.estimation.sensor_curve import SensorCurve
+from apcc_torch.estimation.state_feedback import StateFeedback
+from apcc_torch.model.backbone import PCCBackbone
+from apcc_torch.model.tendons import rack_routing
+from arms import HANGING_BASE, PI
+
+END = PI.cumsum(0)
+
+TAKEN: dict[str, tuple[Tensor, Callable[[Tensor], Tensor]]] = {
+    "gain, a number": (torch.tensor(2.0), lambda x: gain_matrix("K", x, 3)),
+    "gain, a diagonal": (PI, lambda x: gain_matrix("K", x, 3)),
+    "gain, a matrix": (torch.eye(3), lambda x: gain_matrix("K", x, 3)),
+    "reach": (END, lambda x: AdaptiveLaw(3, 1.0, reach=x).project(0.9 * PI)),
+    "nominal": (PI, lambda x: ResidualLaw(x, "sensors").nominal),
+    "gains": (torch.ones(3), lambda x: ResidualLaw(PI, "sensors", gains=x).gains),
+    "base_rotation": (HANGING_BASE, lambda x: PCCBackbone(3, x).tip(torch.full((9,), 0.1).double(), PI)),
+    "abscissae": (END, lambda x: StateFeedback(PCCBackbone(3), x).abscissae),
+    "curve's abscissae": (END, lambda x: SensorCurve(HANGING_BASE, x).abscissae),
+    "curve's base": (HANGING_BASE, lambda x: SensorCurve(x, END).base_axis),
+    "tendon offset": (torch.tensor(0.027).double(), lambda x: rack_routing(END, x).matrix(PI)),
+}
+
+
+@pytest.mark.parametrize("name", TAKEN)
+def test_graph_is_kept(name: str) -> None:
+    value, use = TAKEN[name]
+    leaf = value.clone().requires_grad_()
+    (slope,) = torch.autograd.grad(use(leaf).sum(), leaf)
+    assert float(slope.abs().max()) > 0.0
+    # What it holds is its own: the caller's tensor may change.
+    plain = value.clone()
+    held = use(plain)
+    was = held.clone()
+    plain.zero_()
+    assert torch.equal(held, was)
