@@ -147,7 +147,7 @@ def main(arguments: list[str] | None = None) -> dict[str, tuple[float, float]]:
     quick = parser.parse_args(arguments).quick
     torch.set_num_threads(1)
     starts = torch.cat((GUESS.unsqueeze(0), guesses(1 if quick else 3, 0)))
-    duration, iterations, whole = (0.5, 4, 0.5) if quick else (3.0, 30, 20.0)
+    duration, iterations, whole = (0.4, 3, 0.4) if quick else (3.0, 30, 20.0)
     tuned = tune(starts, duration, iterations, seed=0)
     trials = {"tuned on": (starts, duration, 0), "held out": (guesses(2 if quick else 8, 1), whole, 1)}
     found = {}
@@ -160,6 +160,8 @@ def main(arguments: list[str] | None = None) -> dict[str, tuple[float, float]]:
                 for what, a, b in zip(("tip", "backbone"), before, after, strict=True)
             )
             print(f"{name}: cost {found[name][0]:.3f} -> {found[name][1]:.3f}  ({parts})")
+            even = float(cost(tuned._replace(window=BY_HAND.window), *trial).sum())
+            print(f"{name}: cost {even:.3f} with the tuned gains and the window by hand")
     for name, value in tuned._asdict().items():
         shown = value / value.max() if name == "window" else value
         print(f"{name}: {[round(v, 3) for v in shown.reshape(-1).tolist()]}")
