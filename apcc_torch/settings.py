@@ -37,22 +37,18 @@ def hold(module: nn.Module, **settings: Setting | None) -> None:
     """Makes settings attributes of a module; tensors become buffers, so that they move with it."""
     for name, value in settings.items():
         if isinstance(value, Tensor):
-            module.register_buffer(name, value)
-            _trailing(module)[name] = 0
+            hold_rows(module, **{name: (value, 0)})
         else:
             setattr(module, name, value)
 
 
 def hold_rows(module: nn.Module, **tensors: tuple[Tensor | None, int]) -> None:
     """Makes tensors buffers of a module that may differ from row to row: name = (tensor, its trailing dimensions)."""
-    for name, (value, trailing) in tensors.items():
+    # Beside the buffers: which of them may have leading dimensions, with the number of the others.
+    trailing = module.__dict__.setdefault("trailing_dimensions", {})
+    for name, (value, dimensions) in tensors.items():
         module.register_buffer(name, value)
-        _trailing(module)[name] = trailing
-
-
-def _trailing(module: nn.Module) -> dict[str, int]:
-    """The buffers of a module that may have leading dimensions, with the number of the others."""
-    return module.__dict__.setdefault("trailing_dimensions", {})
+        trailing[name] = dimensions
 
 
 def row_tensors(module: nn.Module) -> dict[str, tuple[Tensor, int]]:

@@ -7,13 +7,14 @@ is the median of single steps of the whole batch, actions drawn before. Compare 
 from __future__ import annotations
 
 import argparse
+import itertools
 import os
 import platform
-import statistics
 import time
 
 import gymnasium
 import torch
+from timing import finished, timed
 
 import apcc_torch
 import apcc_torch.envs
@@ -33,22 +34,14 @@ def measure(name: str, rows: int, budget: float, settings: dict[str, object]) ->
     size = envs.single_action_space.shape[0]
     actions = [2.0 * torch.rand(rows, size, device=device) - 1.0 for _ in range(8)]
 
-    def step(k: int) -> float:
-        started = time.perf_counter()
-        envs.step(actions[k % len(actions)])
-        if device.type == "cuda":
-            torch.cuda.synchronize(device)
-        return time.perf_counter() - started
-
-    first = step(0)  # compiles, where asked to
-    for k in range(1, 4):
-        step(k)
-    samples: list[float] = []
-    end = time.perf_counter() + budget
-    while len(samples) < 5 or time.perf_counter() < end:
-        samples.append(step(len(samples)))
-    median = statistics.median(samples)
-    return {"median_ms": 1e3 * median, "steps_per_s": rows / median, "first_s": first, "calls": float(len(samples))}
+    started = time.perf_counter()
+    envs.step(actions[0])  # compiles, where asked to
+    finished(str(device))
+    first = time.perf_counter() - started
+    turn = itertools.cycle(actions)
+    times = timed(lambda: envs.step(next(turn)), budget, device=str(device))
+    median = 1e-6 * times["median_us"]
+    return {"median_ms": 1e3 * median, "steps_per_s": rows / median, "first_s": first, "calls": times["calls"]}
 
 
 def jobs(options: argparse.Namespace) -> dict[str, tuple[str, dict[str, object]]]:

@@ -9,12 +9,13 @@ from __future__ import annotations
 
 import argparse
 import json
-import time
 from pathlib import Path
 
 import torch
 from hydra import compose, initialize_config_dir
 from hydra.core.config_store import ConfigStore
+from page import between
+from timing import timed_steps
 from tqdm import tqdm
 
 from apcc_torch.conf_path import conf_path
@@ -76,7 +77,8 @@ def settings(model: str, sections: int, controller: str) -> SimulateConfig:
 
 
 def _step_times(controller: APCCController, lengths: torch.Tensor, compiled: bool) -> dict[str, float]:
-    """Time of one arm's step in us, eager and compiled."""
+    """Time of one arm's step in us, eager and compiled: what a tenth of the calls stay below, for a busy machine shows
+    least in it."""
     like = torch.zeros((), dtype=lengths.dtype)
     state = controller.initial_state(like.expand(controller.backbone.n).clone(), lengths, like)
     T = torch.eye(4, dtype=like.dtype).expand(controller.feedback.abscissae.shape[-1], 4, 4).clone()
@@ -85,21 +87,10 @@ def _step_times(controller: APCCController, lengths: torch.Tensor, compiled: boo
     T[:, 0, 3] = controller.feedback.abscissae**2 * 0.5
     target = Target(torch.tensor([0.2, 0.0, -0.5]).to(like), torch.zeros(3).to(like))
     arguments = (state, Measurement(T, like + 0.01), target)
-    found = {"eager_us": _fast_us(controller, arguments, 150)}
+    found = {"eager_us": timed_steps(controller, [arguments], 150)["p10_us"]}
     if compiled:
-        found["compiled_us"] = _fast_us(NativeFunction(controller, arguments), arguments, 2000)
+        found["compiled_us"] = timed_steps(NativeFunction(controller, arguments), [arguments], 2000)["p10_us"]
     return found
-
-
-def _fast_us(step: object, arguments: tuple[object, ...], count: int) -> float:
-    """The time that a tenth of the calls stay below: what else the machine does shows least in it."""
-    assert callable(step)
-    times = []
-    for _ in range(count):
-        started = time.perf_counter()
-        step(*arguments)
-        times.append(1e6 * (time.perf_counter() - started))
-    return sorted(times)[count // 10]
 
 
 def measured(model: str, sections: int, controller: str, compiled: bool = False) -> dict[str, float]:
@@ -163,9 +154,7 @@ def main() -> None:
             results.setdefault(model, {}).setdefault(str(sections), {})[controller] = found
             write_json(options.out, results)
     page = Path(options.page)
-    before, _, rest = page.read_text(encoding="utf-8").partition(START)
-    _, _, after = rest.partition(END)
-    write_atomically(page, f"{before}{START}\n{table(results)}\n{END}{after}")
+    write_atomically(page, between(page.read_text(encoding="utf-8"), START, END, table(results)))
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""pytorch-kinematics' rigid chain of the same three sections: five joints a section, as in the tests."""
+"""pytorch-kinematics' rigid chain of the same sections, five joints each; the tests' oracle of the backbone, too."""
 
 from __future__ import annotations
 

@@ -9,6 +9,8 @@ import json
 from pathlib import Path
 from typing import Any
 
+from page import between
+
 from apcc_torch.files import write_atomically
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -60,8 +62,7 @@ def table(speed: dict[str, Any]) -> str:
 
 def with_table(readme: str, speed: dict[str, Any]) -> str:
     """The README with the table in its place."""
-    head, rest = readme.split(BEGIN)
-    return f"{head}{BEGIN}\n{table(speed)}\n{END}{rest.split(END)[1]}"
+    return between(readme, BEGIN, END, table(speed))
 
 
 def main() -> None:

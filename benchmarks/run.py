@@ -24,7 +24,7 @@ from typing import Any
 import torch
 from peer_numpy import prepared
 from peer_rigid_chain import tip_and_jacobian
-from subjects import LENGTHS, PLANT, SENSORS, closed_loop, controller, dynamics, floor, one_row, plant, states, steps
+from subjects import LENGTHS, SENSORS, closed_loop, dynamics, floor, one_row, plant, states, steps
 from timing import timed, timed_steps
 
 import apcc_torch
@@ -82,7 +82,9 @@ def control_steps(table: Table, options: argparse.Namespace) -> None:
             many = max(20, round(options.budget / (3e-3 if batch < 4096 else 0.3)))
             on = [rebuilt(given, (leaf.to(options.device) for leaf in flattened(given))) for given in late]
             eager = c.to(options.device)
-            table.add(f"{name}_eager", batch, threads, lambda c=eager, g=on, n=many: timed_steps(c, g, n))
+            table.add(
+                f"{name}_eager", batch, threads, lambda c=eager, g=on, n=many: timed_steps(c, g, n, options.device)
+            )
             if options.device != "cpu":
                 continue
             step = NativeFunction(c.to("cpu"), one_row(late[0], batch), threads=threads)
@@ -121,7 +123,12 @@ def forward_dynamics(table: Table, options: argparse.Namespace) -> None:
         name = f"forward_dynamics_batch_{batch}"
         on = tuple(value.to(options.device) for value in given)
         eager = dynamics(6, D).to(options.device)
-        table.add(f"{name}_eager", batch, threads, lambda a=eager, g=on: timed(lambda: a(*g), options.budget))
+        table.add(
+            f"{name}_eager",
+            batch,
+            threads,
+            lambda a=eager, g=on: timed(lambda: a(*g), options.budget, device=options.device),
+        )
         if options.device != "cpu":
             continue
         step = NativeFunction(arm, tuple(value[0] for value in given) if batch > 1 else given, threads=threads)
@@ -193,7 +200,7 @@ def scaling(table: Table, options: argparse.Namespace) -> None:
     for n in (2, 4, 8, 16, 32):
         arm, given = dynamics(n, D).to(options.device), tuple(v.to(options.device) for v in states(n, 256, D))
         table.add(f"forward_dynamics_{n}_sections_batch_256_eager", 256, 1,
-                  lambda a=arm, g=given: timed(lambda: a(*g), options.budget))  # fmt: skip
+                  lambda a=arm, g=given: timed(lambda: a(*g), options.budget, device=options.device))  # fmt: skip
 
 
 COLD = """
@@ -243,8 +250,6 @@ def main() -> None:
         "torch": torch.__version__,
         "python": platform.python_version(),
         "apcc_torch": apcc_torch.__version__,
-        "plant_sections": len(PLANT),
-        "operations_of": type(controller(D)).__name__,
         "peak_rss_mib": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0,
         "load": os.getloadavg()[0],
     }

@@ -7,29 +7,43 @@ import statistics
 import time
 from collections.abc import Callable, Sequence
 
+import torch
 
-def timed(call: Callable[[], object], budget: float, least: int = 5) -> dict[str, float]:
+
+def finished(device: str) -> None:
+    """Waits for what a device was given to do: on a GPU a call only queues its work."""
+    if device.startswith("cuda"):
+        torch.cuda.synchronize(device)
+
+
+def timed(call: Callable[[], object], budget: float, least: int = 5, device: str = "cpu") -> dict[str, float]:
     """Times a call again and again.
 
     Args:
         call: What is timed.
         budget: About how long in all, s.
         least: Fewest samples.
+        device: On which it works.
     """
     call()
+    finished(device)
     samples: list[float] = []
     end = time.perf_counter() + budget
     while len(samples) < least or time.perf_counter() < end:
         started = time.perf_counter()
         call()
+        finished(device)
         samples.append(time.perf_counter() - started)
     return summary(samples)
 
 
-def timed_steps(step: Callable[..., object], inputs: Sequence[tuple[object, ...]], steps: int) -> dict[str, float]:
+def timed_steps(
+    step: Callable[..., object], inputs: Sequence[tuple[object, ...]], steps: int, device: str = "cpu"
+) -> dict[str, float]:
     """Times so many steps, the inputs in turn, as a loop in real time would: the garbage collector waits outside."""
     for given in inputs[:20]:
         step(*given)
+    finished(device)
     samples: list[float] = []
     gc.collect()
     gc.freeze()
@@ -39,6 +53,7 @@ def timed_steps(step: Callable[..., object], inputs: Sequence[tuple[object, ...]
             given = inputs[k % len(inputs)]
             started = time.perf_counter()
             step(*given)
+            finished(device)
             samples.append(time.perf_counter() - started)
     finally:
         gc.enable()
@@ -53,6 +68,7 @@ def summary(samples: list[float]) -> dict[str, float]:
     return {
         "median_us": statistics.median(ordered),
         "min_us": ordered[0],
+        "p10_us": ordered[round(0.1 * last)],
         "p90_us": ordered[round(0.9 * last)],
         "p999_us": ordered[round(0.999 * last)],
         "calls": float(len(ordered)),

@@ -22,6 +22,7 @@ from apcc_torch.envs.streams import streams
 from apcc_torch.errors import ConfigError, DtypeError, ShapeError, ValueRangeError
 from apcc_torch.model.backbone import PCCBackbone
 from apcc_torch.model.kinematic_model import KinematicModel
+from apcc_torch.native.compiled import TorchStep
 
 DTYPES = {"float64": torch.float64, "float32": torch.float32}
 
@@ -111,7 +112,7 @@ class ArmVectorEnv(VectorEnv[Tensor, Tensor, Tensor]):
         self.render_mode, self.render_rows, self.renderer = render_mode, render_rows, renderer
         self.device = torch.device(device)
         self.simulator = Simulator(setup, torch.empty(0, dtype=_dtype(dtype), device=self.device))
-        self._step = torch.compile(self.simulator, fullgraph=True, dynamic=False) if compile else self.simulator
+        self._step = TorchStep(self.simulator, inductor=compile)
         self.autoreset_mode = _mode(autoreset_mode)
         self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode}
         bounds = self.simulator.bounds.cpu().numpy()

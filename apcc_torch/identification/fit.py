@@ -99,7 +99,7 @@ def fit(
         noise, correlation, taken = _size(residual), correlation_length(residual.flatten(1)), taken + count
         if progress is not None:
             progress(f"round {k + 1}: {1e3 * noise * math.sqrt(3.0):.3g} mm after {count} steps")
-    J, weight = problem.jacobian(z, noise * math.sqrt(correlation))
+    J, weight, _ = problem.jacobian(z, noise * math.sqrt(correlation))
     return Fit(z, J.mT @ (weight.unsqueeze(-1) * J), noise, correlation, taken)
 
 
@@ -121,8 +121,8 @@ class _Problem:
         q = self.arm.rest(self.drive, values, self.q)
         return self.measured - self.arm.bodies(q, values), q
 
-    def jacobian(self, z: Tensor, size: float) -> tuple[Tensor, Tensor]:
-        """d(predicted)/dz over `size` (3 k N, P), and the robust weight of each row."""
+    def jacobian(self, z: Tensor, size: float) -> tuple[Tensor, Tensor, Tensor]:
+        """d(predicted)/dz over `size` (3 k N, P), the robust weight of each row, and the residual (N, k, 3) there."""
         residual, q = self.residual(z)
         self.q = q
 
@@ -131,7 +131,7 @@ class _Problem:
             return self.arm.positions(self.drive, values, q)
 
         J = jacfwd(predicted)(z).flatten(0, 2) / size
-        return J, _weights(residual).flatten()
+        return J, _weights(residual).flatten(), residual
 
 
 def _weights(residual: Tensor) -> Tensor:
@@ -144,22 +144,20 @@ def _weights(residual: Tensor) -> Tensor:
 def _descend(problem: _Problem, z: Tensor, size: float, steps: int) -> tuple[Tensor, int]:
     """Levenberg-Marquardt on half the squared residuals over size^2 and half the squared scores."""
 
-    def cost(at: Tensor, weight: Tensor) -> float:
-        residual, _ = problem.residual(at)
+    def cost(at: Tensor, residual: Tensor, weight: Tensor) -> float:
         value = 0.5 * float((weight * (residual.flatten() / size).square()).sum() + at.square().sum())
         return value if math.isfinite(value) else math.inf
 
     damping, taken = 1e-2, 0
     eye = torch.eye(len(z), dtype=z.dtype)
     while taken < steps:
-        J, weight = problem.jacobian(z, size)
-        residual, _ = problem.residual(z)
+        J, weight, residual = problem.jacobian(z, size)
         H = J.mT @ (weight.unsqueeze(-1) * J) + eye
         gradient = J.mT @ (weight * residual.flatten() / size) - z
-        now = cost(z, weight)
+        now = cost(z, residual, weight)
         for _ in range(12):
             step = torch.linalg.solve(H + damping * torch.diag(H.diagonal()), gradient)
-            there = cost(z + step, weight)
+            there = cost(z + step, problem.residual(z + step)[0], weight)
             if there < now:
                 break
             damping *= 5.0

@@ -88,6 +88,8 @@ class NativeFunction:
         held = [t for t in (*module.buffers(), *module.parameters()) if t.is_floating_point()]
         # Where anything is of double precision everything is, inside: what torch would round in between is not.
         self._dtype = torch.float64 if any_double(given + returned + held) else torch.float32
+        # Here, not at each call: it looks for the compiler.
+        self._widest = widest_vector(compiler()) // self._dtype.itemsize
         self._entries: dict[int, Any] = {}
 
     def _pairs(self, given: Any) -> list[tuple[int, int]]:
@@ -115,7 +117,7 @@ class NativeFunction:
 
     def lanes(self, rows: int) -> int:
         """How many rows are worked on at once in a batch of `rows`."""
-        return 1 if rows == 1 else widest_vector(compiler()) // self._dtype.itemsize
+        return 1 if rows == 1 else self._widest
 
     def __call__(self, *args: Any, repeats: int = 1) -> Any:
         """The module's result for these arguments; with `repeats`, the last of so many calls that each carry on.

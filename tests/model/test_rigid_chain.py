@@ -9,6 +9,7 @@ from __future__ import annotations
 import pytest
 import pytorch_kinematics as pk
 import torch
+from peer_rigid_chain import rigid_chain
 from torch import Tensor
 from torch.func import jacfwd, vmap
 
@@ -16,29 +17,6 @@ from apcc_torch.model.abscissae import decouple
 from apcc_torch.model.backbone import PCCBackbone
 from arms import configurations, rest_lengths
 from laws import generator
-
-JOINTS = (
-    ("continuous", "0 0 1"),
-    ("continuous", "0 1 0"),
-    ("prismatic", "0 0 1"),
-    ("continuous", "0 1 0"),
-    ("continuous", "0 0 1"),
-)
-
-
-def rigid_arm(n_sections: int) -> pk.SerialChain:
-    """The chain of n sections, five joints each, from a URDF text."""
-    links, joints = ['<link name="link0"/>'], []
-    for k in range(5 * n_sections):
-        kind, axis = JOINTS[k % 5]
-        limit = '<limit lower="-9" upper="9" effort="9" velocity="9"/>' if kind == "prismatic" else ""
-        links.append(f'<link name="link{k + 1}"/>')
-        joints.append(
-            f'<joint name="joint{k}" type="{kind}"><parent link="link{k}"/><child link="link{k + 1}"/>'
-            f'<origin xyz="0 0 0" rpy="0 0 0"/><axis xyz="{axis}"/>{limit}</joint>'
-        )
-    urdf = f'<robot name="arm">{"".join(links + joints)}</robot>'
-    return pk.build_serial_chain_from_urdf(urdf, f"link{5 * n_sections}").to(dtype=torch.float64)
 
 
 def joint_angles(q: Tensor, L0: Tensor, fraction: Tensor) -> Tensor:
@@ -60,7 +38,7 @@ def world_jacobian(chain: pk.SerialChain, q: Tensor, L0: Tensor, fraction: Tenso
 @pytest.mark.parametrize("n", [1, 2, 3, 6])
 def test_tip(n: int) -> None:
     rng = generator(n)
-    chain, backbone = rigid_arm(n), PCCBackbone(n)
+    chain, backbone = rigid_chain(n), PCCBackbone(n)
     q, L0 = configurations((20,), n, torch.float64, rng), rest_lengths((20,), n, torch.float64, rng)
     whole = torch.ones_like(L0)
     end = chain.forward_kinematics(vmap(joint_angles)(q, L0, whole)).get_matrix()
@@ -72,7 +50,7 @@ def test_tip(n: int) -> None:
 
 def test_material_points() -> None:
     rng = generator(5)
-    chain, backbone = rigid_arm(3), PCCBackbone(3)
+    chain, backbone = rigid_chain(3), PCCBackbone(3)
     q, L0 = configurations((10,), 3, torch.float64, rng), rest_lengths((10,), 3, torch.float64, rng)
     X = torch.linspace(0.02, 0.95, 5, dtype=torch.float64) * L0.sum(-1, keepdim=True)
     X_tilde, j = decouple(X, L0)
