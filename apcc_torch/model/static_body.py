@@ -1,0 +1,147 @@
+"""What a resting arm pulls back with: weight and elasticity of any kinematic model, in closed form of q and lengths.
+
+    G(q) + K q = B u + J(X)^T f
+
+The dynamics of `dynamics.SoftArmDynamics` have these terms for constant-curvature arms of constant lengths. Here the
+sections may be of any kinematic model, and the rest lengths may be estimates that change from call to call.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor, nn
+
+from apcc_torch.errors import ConfigError, ValueRangeError
+from apcc_torch.model.abscissae import decouple, located
+from apcc_torch.model.inertia import quadrature_nodes
+from apcc_torch.model.kinematic_model import KinematicModel, MaterialPoints
+from apcc_torch.settings import Setting, aligned, check_setting, hold
+from apcc_torch.shapes import batch_shape, check_same, check_tensor
+
+
+class StaticBody(nn.Module):
+    """Weight and elasticity of an arm of the same material all along; each number may be a tensor (...), one a row.
+
+    Args:
+        backbone: The model.
+        density: Mass per metre of rest length, kg/m.
+        axial: EA, N: 10 N for the paper's 100 N/m of a section of 0.1 m.
+        bending: EI, N m^2: 0.0778 N m^2 for the paper's 0.778 N m/rad of a section of 0.1 m.
+        torsion: G J, N m^2; needed where the model has torsion.
+        shear: G A, N; needed where the model has shear.
+        gravity: Along world -z, m/s^2.
+        n_quadrature: Mass points of each section.
+
+    Raises:
+        ConfigError: The model has a coordinate whose rigidity is not given.
+        ValueRangeError: A number is out of range.
+    """
+
+    density: Setting
+    gravity_acceleration: Setting
+    nodes: Tensor
+    weights: Tensor
+
+    def __init__(
+        self,
+        backbone: KinematicModel,
+        density: Setting,
+        axial: Setting,
+        bending: Setting,
+        torsion: Setting | None = None,
+        shear: Setting | None = None,
+        gravity: Setting = 9.81,
+        n_quadrature: int = 4,
+    ) -> None:
+        super().__init__()
+        if n_quadrature < 2:
+            raise ValueRangeError(f"n_quadrature must be at least 2, got {n_quadrature}")
+        given = {"axial": axial, "bending": bending, "torsion": torsion, "shear": shear}
+        for name, value in {"density": density, **given}.items():
+            if value is not None:
+                check_setting(name, value)
+        for coordinate in backbone.coordinates.pattern:
+            if coordinate.name not in _RIGIDITY:
+                raise ConfigError(f"the elasticity of {coordinate.name!r} is not known")
+            if given[_RIGIDITY[coordinate.name][0]] is None:
+                raise ConfigError(f"{_RIGIDITY[coordinate.name][0]} must be given: the model has {coordinate.name}")
+        self.backbone = backbone
+        hold(self, density=density, gravity_acceleration=check_setting("gravity", gravity, zero=True), **given)
+        points, weights = quadrature_nodes(n_quadrature, torch.float64)
+        # Without the section's tip, which `quadrature_nodes` appends for a payload.
+        self.register_buffer("nodes", points[:-1])
+        self.register_buffer("weights", weights[:-1])
+
+    def stiffness(self, pi_hat: Tensor) -> Tensor:
+        """Diagonal of K (..., n): N m/rad of angles, N/m of lengths. A section's strain energy is q K q / 2.
+
+        Args:
+            pi_hat: (..., n_b) rest lengths, m.
+        """
+        check_tensor("pi_hat", pi_hat, (self.backbone.n_sections,))
+        coordinates = self.backbone.coordinates
+        columns, section = [], 0
+        for c in coordinates.pattern * (self.backbone.n // coordinates.period):
+            kind, share = _RIGIDITY[c.name]
+            rigidity: Setting = getattr(self, kind)
+            columns.append(share * rigidity / pi_hat[..., section])
+            section += c.stretches
+        return torch.stack(columns, dim=-1)
+
+    def gravity(self, q: Tensor, pi_hat: Tensor) -> Tensor:
+        """G(q) = dU/dq (..., n) of the arm's own weight, N m and N.
+
+        Args:
+            q: (..., n) rad, m.
+            pi_hat: (..., n_b) rest lengths, m.
+        """
+        self.backbone.check(q, pi_hat)
+        check_same(q=q, pi_hat=pi_hat)
+        batch = batch_shape(q=(q, 1), pi_hat=(pi_hat, 1))
+        n_b, n_k = self.backbone.n_sections, self.nodes.shape[0]
+        q, pi_hat = q.expand(*batch, q.shape[-1]), pi_hat.expand(*batch, n_b)
+        X_tilde = self.nodes.to(q).repeat(n_b).expand(*batch, n_b * n_k)
+        j = torch.arange(n_b, device=q.device).unsqueeze(-1).expand(n_b, n_k).flatten().expand(*batch, n_b * n_k)
+        mass = aligned(self.density, 1) * (pi_hat.unsqueeze(-1) * self.weights.to(q)).flatten(-2)
+        lift = self._linear(q, self.backbone.material_points(pi_hat, X_tilde, j))[..., 2, :]
+        return aligned(self.gravity_acceleration, 1) * (mass.unsqueeze(-1) * lift).sum(-2)
+
+    def rest_force(self, q: Tensor, pi_hat: Tensor) -> Tensor:
+        """G(q) + K q (..., n): what tendons and external forces hold at rest; arguments as `gravity`."""
+        return self.gravity(q, pi_hat) + self.stiffness(pi_hat) * q
+
+    def point_jacobians(self, q: Tensor, pi_hat: Tensor, X: Tensor) -> Tensor:
+        """J (..., k, 3, n) of material points in world axes: the virtual work of a force f there is dq J^T f.
+
+        Args:
+            q: (..., n) rad, m.
+            pi_hat: (..., n_b) rest lengths, m.
+            X: (..., k) material abscissae, m.
+        """
+        self.backbone.check(q, pi_hat)
+        check_tensor("X", X, (None,))
+        batch = batch_shape(q=(q, 1), pi_hat=(pi_hat, 1), X=(X, 1))
+        q, pi_hat, X = (v.expand(*batch, v.shape[-1]) for v in (q, pi_hat, X))
+        return self._linear(q, self.backbone.material_points(pi_hat, *located(X, pi_hat)))
+
+    def points(self, q: Tensor, pi_hat: Tensor, X: Tensor) -> Tensor:
+        """Places (..., k, 3) of material points, m, world frame; arguments as `point_jacobians`."""
+        return self.backbone.pose(q, pi_hat, *decouple(X, pi_hat))[..., :3, 3]
+
+    def _linear(self, q: Tensor, points: MaterialPoints) -> Tensor:
+        chain = self.backbone.chain_to(q, points)
+        return chain.rotation @ chain.body_jacobian()[..., 3:, :]
+
+
+# Of each coordinate its rigidity, and its factor over the section's length: a curvature that varies by
+# (2 s - 1) sigma along a section stores a third of what a constant sigma does.
+_RIGIDITY = {
+    "bend x": ("bending", 1.0),
+    "bend y": ("bending", 1.0),
+    "slope x": ("bending", 1.0 / 3.0),
+    "slope y": ("bending", 1.0 / 3.0),
+    "torsion": ("torsion", 1.0),
+    "shear x": ("shear", 1.0),
+    "shear y": ("shear", 1.0),
+    "elongation": ("axial", 1.0),
+}

@@ -1,0 +1,36 @@
+"""The example runs in its reduced form: it weighs, finds the place and the force, and says where it cannot."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+EXAMPLE = Path(__file__).parents[2] / "examples" / "contact_force.py"
+
+
+def lines(*options: str) -> list[str]:
+    command = [sys.executable, str(EXAMPLE), "--quick", *options]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return done.stdout.splitlines()
+
+
+def numbers(line: str) -> list[float]:
+    return [float(number) for number in re.findall(r"-?\d+\.?\d*", line)]
+
+
+def test_quick() -> None:
+    payload, place, force, evidence = lines()
+    true, estimated, deviation = numbers(payload)
+    assert abs(estimated - true) < 3.0 * deviation < 30.0
+    true, estimated, low, high = numbers(place)
+    assert abs(estimated - true) < 3.0 and low <= true <= high and place.endswith("cm: located")
+    assert numbers(force)[-1] < 0.2
+    assert numbers(evidence)[0] > 100.0 and numbers(evidence)[1] > 30.0
+
+
+def test_what_the_noise_hides_is_not_located() -> None:
+    _, place, _, _ = lines("--force", "0.1")
+    assert place.endswith("not located")
