@@ -13,6 +13,7 @@ from apcc_torch.configs.schema import PlantConfig, RobotConfig, SimulateConfig
 from apcc_torch.control.adaptation import AdaptiveLaw
 from apcc_torch.control.controller import APCCController
 from apcc_torch.control.inverse_kinematics import InverseKinematics
+from apcc_torch.control.length_bank import LengthBank
 from apcc_torch.control.pid import TendonPID
 from apcc_torch.control.residual_adaptation import TARGETS, ResidualLaw
 from apcc_torch.errors import ConfigError
@@ -204,18 +205,33 @@ class Builder:
             velocity=c.velocity_filter.velocity,
             bend_bound=k.bend_bound,
             elongation_bound=k.elongation_bound,
-            residual_law=self.residual_law(),
+            residual_law=self.residual_law(feedback),
         )
 
-    def residual_law(self) -> ResidualLaw | None:
-        """The law of the sensors' residuals; None without a target."""
+    def residual_law(self, feedback: StateFeedback) -> ResidualLaw | LengthBank | None:
+        """The law of the sensors' residuals, around algorithm 2 as the controller has it; None without a target."""
         r = self.config.residual
         if r.target is None:
             return None
         curve = None
-        if choice("residual.target", r.target, TARGETS) == "curve":
+        if choice("residual.target", r.target, (*TARGETS, "bank")) != "sensors":
             tangents = r.tangents or ("spline" if self.config.feedback.mode == "position" else "measured")
             curve = SensorCurve(self.base_rotation(), self.sensors_at(), tangents, r.samples)
+        if r.target == "bank":
+            assert curve is not None  # made above
+            return LengthBank(
+                self.first_estimate(),
+                feedback,
+                curve,
+                r.shares,
+                elongation_weight=r.elongation_weight,
+                nominal_weight=r.nominal_weight,
+                sharpness=r.sharpness,
+                resolution=r.resolution,
+                memory=r.memory,
+                time_constant=r.time_constant,
+                rate=r.rate,
+            )
         return ResidualLaw(
             self.first_estimate(),
             r.target,

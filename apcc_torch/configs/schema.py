@@ -137,6 +137,40 @@ class ResidualConfig:
     memory: float = 0.0
     rate: float = 0.1
     gains: list[float] | None = None
+    shares: list[float] = field(default_factory=lambda: [0.4, 0.55, 0.7, 0.85, 1.0, 1.15])
+    sharpness: float = 0.1
+    resolution: float = 3e-5
+
+
+@dataclass
+class DynamicsLawConfig:
+    """The feed-forward of the tendon loop, and the law of its parameters."""
+
+    kind: str = "none"
+    bending_rigidity: float = 0.0778
+    axial_rigidity: float = 10.0
+    tendon_damping: float = 200.0
+    payload: float = 0.0
+    mass: float = 1.0
+    bending_rigidity_deviation: float = 0.02
+    axial_rigidity_deviation: float = 3.0
+    tendon_damping_deviation: float = 50.0
+    payload_deviation: float = 0.3
+    mass_deviation: float = 0.0
+    lower: list[float] | None = None
+    upper: list[float] | None = None
+    damping_ratio: float = 0.1
+    stiffness: float = 3.0
+    damping: float = 0.0
+    reference_time: float = 0.1
+    force_limit: float | None = None
+    tracking_gain: float = 1.0
+    prediction: bool = True
+    filter_time: float = 0.3
+    memory: float = 2.0
+    torque_noise: float = 0.2
+    length: float = 0.1
+    dead_zone: float = 0.0
 
 
 @dataclass
@@ -205,6 +239,7 @@ class SimulateConfig(ArmConfig):
     """Root of `python -m apcc_torch.simulate`."""
 
     replay: ReplayConfig = field(default_factory=ReplayConfig)
+    dynamics_law: DynamicsLawConfig = field(default_factory=DynamicsLawConfig)
     state: str = "feedback"
     data: str | None = None
     device: str = "cpu"

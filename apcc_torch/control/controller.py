@@ -7,6 +7,7 @@ from torch import Tensor, nn
 
 from apcc_torch.control.adaptation import AdaptiveLaw
 from apcc_torch.control.inverse_kinematics import InverseKinematics
+from apcc_torch.control.length_bank import BankEvidence, LengthBank
 from apcc_torch.control.pid import within
 from apcc_torch.control.residual_adaptation import Evidence, ResidualLaw
 from apcc_torch.control.signals import Command, ControllerState, Measurement, Target
@@ -46,7 +47,8 @@ class APCCController(nn.Module):
         reference_damping: T in y = B_hat^T (q_d - T qdot_bar), s. It damps the arm's swinging, which K alone, acting
             through an integral, excites once it exceeds twice the damping rate of the slowest mode. 0 for Eq. (49).
         integration_limit: Longest step that is integrated, s: after a pause the controller goes on, it does not leap.
-        residual_law: A law of the sensors' residuals, added to `law`, whose bounds hold for both; None for none.
+        residual_law: A law of the sensors' residuals, or a bank of models, added to `law`, whose bounds hold for both;
+            None for none.
 
     Raises:
         ValueRangeError: A setting is out of range.
@@ -69,7 +71,7 @@ class APCCController(nn.Module):
         elongation_bound: Setting | None = None,
         reference_damping: float = 0.0,
         integration_limit: float = 0.1,
-        residual_law: ResidualLaw | None = None,
+        residual_law: ResidualLaw | LengthBank | None = None,
     ) -> None:
         super().__init__()
         if velocity not in VELOCITIES:
@@ -114,7 +116,7 @@ class APCCController(nn.Module):
         # Stamps keep their dtype: large ones need float64 even where the arm runs in float32.
         stamp = torch.zeros_like(q[..., 0]) if time is None else time.to(q.device).expand(batch)
         still = torch.zeros_like(q)
-        evidence = None if self.residual_law is None else self.residual_law.initial_evidence(pi_hat)
+        evidence = None if self.residual_law is None else self.residual_law.initial_evidence(q, pi_hat)
         return ControllerState(
             q, still, pi_hat, q, still, self.velocity_filter.initial_state(q, stamp), stamp, evidence
         )
@@ -143,7 +145,8 @@ class APCCController(nn.Module):
         filtered, qdot_bar = self.velocity_filter(state.velocity_filter, q_bar, measurement.time)
 
         # One chain serves the tip, its Jacobian and that Jacobian's rate.
-        if self.adaptive and (self.law.regressor == "estimator_aware" or self.residual_law is not None):
+        sensitive = self.residual_law is not None and self.residual_law.needs_sensitivity
+        if self.adaptive and (self.law.regressor == "estimator_aware" or sensitive):
             chain, followed = self.feedback.followed(inference, batch)
         else:
             chain, followed = self.backbone.chain(q_bar.expand(*batch, q_bar.shape[-1]), pi_hat), None
@@ -158,7 +161,6 @@ class APCCController(nn.Module):
             Y = self._regressor_on(chain, followed, q_bar, qdot_bar if self.velocity == "measured" else qdot, batch)
             other = None
             if self.residual_law is not None:
-                assert followed is not None  # asked for above
                 other, evidence = self._residual_velocity(
                     inference, followed, measurement.T, dt.expand(batch), evidence
                 )
@@ -193,10 +195,15 @@ class APCCController(nn.Module):
         return self._total_regressor(chain.jacobian_rate(qdot.expand(*batch, qdot.shape[-1])), followed)
 
     def _residual_velocity(
-        self, inference: Inference, followed: Tensor, T: Tensor, dt: Tensor, evidence: Evidence | None
-    ) -> tuple[Tensor, Evidence | None]:
+        self,
+        inference: Inference,
+        followed: Tensor | None,
+        T: Tensor,
+        dt: Tensor,
+        evidence: Evidence | BankEvidence | None,
+    ) -> tuple[Tensor, Evidence | BankEvidence | None]:
         """What the residual law adds to pi_hat_dot (..., n_b), m/s, and its evidence."""
-        law, batch = self.residual_law, followed.shape[:-2]
+        law, batch = self.residual_law, dt.shape
         assert law is not None
         feedback, pi_hat, problem = inference
         seen = problem.usable.all(-1)

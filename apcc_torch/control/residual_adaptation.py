@@ -83,6 +83,7 @@ class ResidualLaw(nn.Module):
 
     nominal: Tensor
     gains: Tensor
+    needs_sensitivity = True
 
     def __init__(
         self,
@@ -141,12 +142,13 @@ class ResidualLaw(nn.Module):
         """Whether the residual is made of measured orientations too."""
         return self.angular_weight > 0.0 if self.curve is None else self.curve.tangents == "measured"
 
-    def initial_evidence(self, pi_hat: Tensor) -> Evidence | None:
-        """No evidence yet, of the shape of pi_hat (..., n_b); None for a law without memory."""
+    def initial_evidence(self, q: Tensor, pi_hat: Tensor) -> Evidence | None:
+        """No evidence yet, of the batch of q (..., n) and pi_hat (..., n_b); None for a law without memory."""
         if self.memory == 0.0:
             return None
         n_b = pi_hat.shape[-1]
-        return Evidence(pi_hat.new_zeros(*pi_hat.shape, n_b), torch.zeros_like(pi_hat))
+        pi_hat = pi_hat.expand(*torch.broadcast_shapes(q.shape[:-1], pi_hat.shape[:-1]), n_b)
+        return Evidence(torch.diag_embed(torch.zeros_like(pi_hat)), torch.zeros_like(pi_hat))
 
     def residual(
         self, backbone: KinematicModel, q: Tensor, pi: Tensor, followed: Tensor, T: Tensor, abscissae: Tensor
@@ -172,10 +174,7 @@ class ResidualLaw(nn.Module):
             weight = torch.ones(6, dtype=pi.dtype, device=pi.device)
             weight[:3] = self.angular_weight
             return Residual((twist * weight).flatten(-2), (moved * weight.unsqueeze(-1)).flatten(-3, -2))
-        # Across the backbone only: how far along it a point lies is a matter of stretch, not of shape. In the point's
-        # own axes the backbone runs along z.
-        off = (chain.rotation.mT @ (self.curve(T) - chain.tip).unsqueeze(-1))[..., :2, 0]
-        return Residual(off.flatten(-2), moved[..., 3:5, :].flatten(-3, -2))
+        return Residual(self.curve.across(chain, T).flatten(-2), moved[..., 3:5, :].flatten(-3, -2))
 
     def forward(
         self,

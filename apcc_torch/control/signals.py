@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 from torch import Tensor
 
+from apcc_torch.control.length_bank import BankEvidence
 from apcc_torch.control.residual_adaptation import Evidence
 from apcc_torch.control.tasks import TaskTarget
 from apcc_torch.estimation.savitzky_golay import SavitzkyGolayState
@@ -20,6 +21,7 @@ class Measurement(NamedTuple):
     mask: (..., k) bool, False for a sensor to leave out; None for all.
     angular_mask: (..., k) bool, False for an orientation to leave out; None for `mask`.
     tip: (..., 3) measured end-effector position, m; None to take the last sensor's.
+    forces: (..., n_a) tendon forces u at the stamp, N, tension is -u; None where they are not measured.
     """
 
     T: Tensor
@@ -27,6 +29,7 @@ class Measurement(NamedTuple):
     mask: Tensor | None = None
     angular_mask: Tensor | None = None
     tip: Tensor | None = None
+    forces: Tensor | None = None
 
 
 class Target(NamedTuple):
@@ -51,6 +54,7 @@ class Command(NamedTuple):
     e: (..., 3) position error x_d - x, m.
     feedback: What algorithm 2 returned.
     limits: (...) `SolverStatus` of the velocity where tendon limits are in force; None elsewhere.
+    force: (..., n_a) feed-forward of the tendon loop, N; None without a model of the dynamics.
     """
 
     qdot: Tensor
@@ -59,6 +63,7 @@ class Command(NamedTuple):
     e: Tensor
     feedback: Feedback
     limits: Tensor | None = None
+    force: Tensor | None = None
 
 
 class ControllerState(NamedTuple):
@@ -71,7 +76,7 @@ class ControllerState(NamedTuple):
     qdot: (..., 3 n_b) last commanded velocity.
     velocity_filter: State of the Savitzky-Golay filter.
     time: (...) stamp of the last measurement, s.
-    evidence: What a `ResidualLaw` with memory remembers; None without one.
+    evidence: What a `ResidualLaw` with memory or a `LengthBank` remembers; None without one.
     """
 
     q_bar: Tensor
@@ -81,4 +86,4 @@ class ControllerState(NamedTuple):
     qdot: Tensor
     velocity_filter: SavitzkyGolayState
     time: Tensor
-    evidence: Evidence | None = None
+    evidence: Evidence | BankEvidence | None = None

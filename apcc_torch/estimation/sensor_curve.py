@@ -11,6 +11,7 @@ import torch
 from torch import Tensor, nn
 
 from apcc_torch.errors import ValueRangeError
+from apcc_torch.model.kinematic_model import Placed
 from apcc_torch.shapes import check_finite, check_same, check_tensor
 
 TANGENTS = ("measured", "spline")
@@ -78,6 +79,18 @@ class SensorCurve(nn.Module):
         )
         points = (2 * u3 - 3 * u2 + 1) * start + (u3 - 2 * u2 + u) * leave
         return (points + (3 * u2 - 2 * u3) * end + (u3 - u2) * arrive).flatten(-3, -2)
+
+    def across(self, chain: Placed, T: Tensor) -> Tensor:
+        """Distances (..., k samples, 2) m from a model to the curve, across its backbone.
+
+        How far along the backbone a point lies is a matter of stretch, not of shape.
+
+        Args:
+            chain: The model's frames at `abscissae`.
+            T: (..., k, 4, 4) sensor poses, world frame, m.
+        """
+        # In a point's own axes the backbone runs along z.
+        return (chain.rotation.mT @ (self(T) - chain.tip).unsqueeze(-1))[..., :2, 0]
 
 
 def _spline(axis: Tensor, position: Tensor) -> Tensor:

@@ -3,6 +3,7 @@
 For the shape it is the best fit of the model's sections to the true backbone. For what algorithm 2 makes of the
 sensors, Psi and the residuals, it is the best over a grid of rest lengths, each metric by itself: no law that moves the
 rest lengths within its bounds does better on this motion but for the grid's steps, and none does all of it at once.
+The grid holds lengths far beyond the bounds too, of any split of the arm that the sensors can tell.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from torch import Tensor
 from apcc_torch.configs.build import Builder
 from apcc_torch.configs.schema import SimulateConfig
 from apcc_torch.control.inverse_kinematics import elongation_cost
+from apcc_torch.control.length_bank import candidates
 from apcc_torch.estimation.oracle import oracle_fit
 from apcc_torch.estimation.state_feedback import StateFeedback
 from apcc_torch.experiments.dynamic import Arms, thinned
@@ -30,6 +32,10 @@ STEPS = 5
 """Values of each rest length in the grid."""
 REACH = 0.25
 """Where the law has no bounds, the grid goes this far from the nominal lengths, relative."""
+SHARES = (0.4, 0.6, 0.8, 1.0, 1.2, 1.5)
+"""Beyond the bounds too: shares of the nominal lengths, see `control.length_bank.candidates`."""
+TOTALS = (1.0, 0.9, 1.1)
+"""Their total lengths, relative."""
 PRICES = (0.0, 1e-3, 3e-3, 1e-2, 2e-2, 3e-2, 5e-2, 0.1, 0.2, 0.3, 0.5, 1.0, 3.0)
 """m of shape error that a metre of Psi is worth, along the trade-off."""
 
@@ -77,15 +83,16 @@ class Limits(NamedTuple):
 
 
 def length_grid(config: SimulateConfig, build: Builder) -> Tensor:
-    """(G, n_b) rest lengths, evenly within the law's bounds, m."""
+    """(G, n_b) rest lengths, m: evenly within the law's bounds, and those of banks of several total lengths."""
     nominal = build.rest_lengths()
     a = config.adaptation
     lower = build.vector("adaptation.lower", a.lower) if a.lower else (1.0 - REACH) * nominal
     upper = build.vector("adaptation.upper", a.upper) if a.upper else (1.0 + REACH) * nominal
     shares = torch.linspace(0.0, 1.0, STEPS, dtype=nominal.dtype, device=nominal.device)
     axes = [low + (high - low) * shares for low, high in zip(lower, upper, strict=True)]
-    # The nominal lengths too: the limit of a metric is never above what the fixed model reaches.
-    return torch.cat((nominal.unsqueeze(0), torch.cartesian_prod(*axes)))
+    banks = [candidates(total * nominal, SHARES, build.sensors_at()) for total in TOTALS]
+    # The nominal lengths are among them: the limit of a metric is never above what the fixed model reaches.
+    return torch.cat((*banks, torch.cartesian_prod(*axes)))
 
 
 def _inferred(feedback: StateFeedback, q: Tensor, pi: Tensor, T: Tensor) -> tuple[Tensor, Tensor, Tensor]:

@@ -82,7 +82,7 @@ def test_on_an_arm_at_rest_the_lengths_are_found(target: str, mode: str, setting
     T, pi = measured(BENT), 0.97 * PI
     weight = 0.1 if target == "sensors" else 0.0
     made, feedback = law(target, angular_weight=weight, damping=0.005, **PLAIN, **settings), estimator(mode)
-    evidence = made.initial_evidence(pi)
+    evidence = made.initial_evidence(torch.zeros(9).double(), pi)
     for _ in range(300):
         velocity, evidence = stepped(made, feedback, pi, T, evidence)
         pi = pi + DT * velocity
@@ -110,7 +110,7 @@ def test_priors_pull_where_data_are_silent() -> None:
 def test_memory_is_a_forgetting_sum() -> None:
     # With no gain nothing moves, and the evidence is the exponentially weighted mean of what each sample said.
     made, feedback = law(memory=0.3, gains=torch.zeros(3).double()), estimator()
-    evidence = made.initial_evidence(PI_HAT)
+    evidence = made.initial_evidence(torch.zeros(9).double(), PI_HAT)
     assert evidence is not None
     keep, information, gradient = torch.exp(-DT / 0.3), torch.zeros(3, 3).double(), torch.zeros(3).double()
     for k in range(5):

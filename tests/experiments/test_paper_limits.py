@@ -48,11 +48,14 @@ def test_rows_and_names(found: tuple[Limits, float, float]) -> None:
     assert limit.metrics()["sensor_3_error_linear_mean_mm"] == pytest.approx(1e3 * float(limit.linear[..., 2].mean()))
 
 
-def test_the_grid_spans_the_bounds_and_holds_the_nominal_lengths() -> None:
+def test_the_grid_spans_the_bounds_and_more_and_holds_the_nominal_lengths() -> None:
     config = composed("experiment=dynamic_run_2")
     grid = length_grid(config, Builder(config))
-    torch.testing.assert_close(grid.amin(0), torch.tensor(config.adaptation.lower, dtype=torch.float64))
-    torch.testing.assert_close(grid.amax(0), torch.tensor(config.adaptation.upper, dtype=torch.float64))
+    lower, upper = (torch.tensor(b, dtype=torch.float64) for b in (config.adaptation.lower, config.adaptation.upper))
+    for corner in (lower, upper):
+        assert bool((grid - corner).abs().amax(-1).min() < 1e-12)
+    assert bool((grid.amin(0) <= lower).all()) and bool((grid.amax(0) >= upper).all())
     torch.testing.assert_close(grid[0], torch.tensor(config.robot.rest_lengths, dtype=torch.float64))
     free = replace(config, adaptation=replace(config.adaptation, lower=None, upper=None))
-    torch.testing.assert_close(length_grid(free, Builder(free)).amax(0), 1.25 * grid[0])
+    corner = 1.25 * grid[0]
+    assert bool((length_grid(free, Builder(free)) - corner).abs().amax(-1).min() < 1e-12)

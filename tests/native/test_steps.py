@@ -10,6 +10,7 @@ from torch import Tensor
 
 from apcc_torch import AdaptiveLaw, APCCController, InverseKinematics, PCCBackbone, SavitzkyGolay, StateFeedback
 from apcc_torch.control.pid import TendonPID
+from apcc_torch.control.length_bank import LengthBank
 from apcc_torch.control.residual_adaptation import ResidualLaw
 from apcc_torch.control.signals import Measurement, Target
 from apcc_torch.estimation.sensor_curve import SensorCurve
@@ -86,12 +87,21 @@ CURVE = ResidualLaw(
     nominal=torch.tensor([0.105, 0.255, 0.24], dtype=D), target="curve", curve=SensorCurve(BASE, X), time_constant=5.0
 )
 
+BANK = LengthBank(
+    nominal=torch.tensor([0.105, 0.255, 0.24], dtype=D),
+    feedback=StateFeedback(PCCBackbone(3, BASE), X, "position", max_iterations=2),
+    curve=SensorCurve(BASE, X, samples=2),
+    shares=(0.6, 1.0),
+    memory=0.5,
+)
+
 
 @pytest.mark.parametrize(
     ("mode", "parts", "tolerance"),
     [
         ("pose", {}, 1e-12),
         ("position", {"residual_law": CURVE}, 1e-12),
+        ("position", {"residual_law": BANK}, 1e-12),
         # Its second least-squares problem is nearly singular: one rounding of its input moves the eager step as much.
         ("hierarchical", {"velocity": "commanded"}, 1e-10),
     ],

@@ -1,0 +1,228 @@
+"""Adaptation among several models: rest lengths side by side, and the best of them are followed.
+
+What the sensors say of the rest lengths has valleys: along one of them, where one section takes what another gives, the
+residual hardly changes, and a gradient that follows it comes to a stop early or in the wrong valley. A bank of models
+knows no slopes. Each has rest lengths of its own and its own algorithm 2; pi_hat moves towards the best of them. It is
+adaptation by multiple models (Narendra and Balakrishnan 1997), of a cost that feedback cannot hide.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import torch
+from torch import Tensor, nn
+
+from apcc_torch.errors import ConfigError, ValueRangeError
+from apcc_torch.estimation.sensor_curve import SensorCurve
+from apcc_torch.estimation.state_feedback import StateFeedback
+from apcc_torch.model.abscissae import located
+from apcc_torch.model.kinematic_model import KinematicModel
+from apcc_torch.settings import hold_rows
+from apcc_torch.shapes import check_finite, check_tensor
+
+UNSEEN = 1.0
+"""V of a model before its first visit, m^2: more than any arm can leave, and finite, so that gradients are."""
+
+
+class BankEvidence(NamedTuple):
+    """What is known of the M models.
+
+    q: (..., M, n) their q_bar when last visited. cost: (..., M) their V, m^2; `UNSEEN` before the first visit.
+    turn: (...) int64, the model that is visited next.
+    """
+
+    q: Tensor
+    cost: Tensor
+    turn: Tensor
+
+
+class LengthBank(nn.Module):
+    """pi_hat_dot = (pi* - pi_hat) / tau, pi* the mean of the bank's rest lengths pi_m, weighed by
+
+        w_m ~ exp(-(V_m - min V) / (sharpness min V + resolution^2)),
+        V_m = |r_m|^2 / N + mu^2 |dL_m|^2 + kappa^2 |pi_m - pi_0|^2.
+
+    r_m are the N distances, across the backbone, between model m and the `SensorCurve`; dL_m its elongations. The last
+    section takes what the others leave of the nominal total length. One model is visited a step, in turn: a step costs
+    one more run of algorithm 2, whatever the size of the bank.
+
+    Args:
+        nominal: (..., n_b) pi_0, m.
+        feedback: Algorithm 2, of the controller's own settings.
+        curve: Through the sensors.
+        shares: What the sections but the last are tried with, relative to their nominal lengths, see `candidates`.
+        elongation_weight: mu.
+        nominal_weight: kappa.
+        sharpness: The share by which V may exceed the least and still count.
+        resolution: m, distances that are alike.
+        memory: s over which a model's past V count; 0 for the last alone.
+        time_constant: tau, s.
+        rate: Largest speed of a parameter, m/s. A row over it is scaled whole.
+
+    Raises:
+        ConfigError: There are fewer sensors than sections, or no combination of shares is left.
+        ValueRangeError: A setting is out of range.
+    """
+
+    nominal: Tensor
+    candidates: Tensor
+    needs_sensitivity = False
+
+    def __init__(
+        self,
+        nominal: Tensor,
+        feedback: StateFeedback,
+        curve: SensorCurve,
+        shares: Sequence[float] = (0.4, 0.55, 0.7, 0.85, 1.0, 1.15),
+        elongation_weight: float = 0.02,
+        nominal_weight: float = 0.002,
+        sharpness: float = 0.1,
+        resolution: float = 3e-5,
+        memory: float = 0.0,
+        time_constant: float = 0.3,
+        rate: float = 0.1,
+    ) -> None:
+        super().__init__()
+        positive = {"time_constant": time_constant, "rate": rate, "resolution": resolution}
+        for name, value in positive.items():
+            if not 0 < value < float("inf"):
+                raise ValueRangeError(f"{name} must be positive and finite, got {value}")
+        weights = {
+            "elongation_weight": elongation_weight,
+            "nominal_weight": nominal_weight,
+            "sharpness": sharpness,
+            "memory": memory,
+        }
+        for name, value in weights.items():
+            if not 0 <= value < float("inf"):
+                raise ValueRangeError(f"{name} must be zero or positive and finite, got {value}")
+        if len(shares) == 0 or not all(0 < share < float("inf") for share in shares):
+            raise ValueRangeError(f"shares must be positive and finite, at least one, got {list(shares)}")
+        check_finite("nominal", check_tensor("nominal", nominal, (None,)))
+        self.feedback = feedback
+        self.curve = curve
+        self.elongation_weight = elongation_weight
+        self.nominal_weight = nominal_weight
+        self.sharpness = sharpness
+        self.resolution = resolution
+        self.memory = memory
+        self.time_constant = time_constant
+        self.rate = rate
+        hold_rows(self, nominal=(nominal.clone(), 1), candidates=(candidates(nominal, shares, feedback.abscissae), 2))
+
+    @property
+    def needs_orientations(self) -> bool:
+        """Whether the cost is made of measured orientations too."""
+        return self.curve.tangents == "measured"
+
+    def initial_evidence(self, q: Tensor, pi_hat: Tensor) -> BankEvidence:
+        """Nothing known yet, of the batch of q (..., n) and pi_hat (..., n_b); every model starts from q."""
+        M = self.candidates.shape[-2]
+        batch = torch.broadcast_shapes(q.shape[:-1], pi_hat.shape[:-1])
+        cost = torch.full((*batch, M), UNSEEN, dtype=q.dtype, device=q.device)
+        turn = torch.zeros(batch, dtype=torch.int64, device=q.device)
+        return BankEvidence(q.unsqueeze(-2).expand(*batch, M, q.shape[-1]), cost, turn)
+
+    def forward(
+        self,
+        backbone: KinematicModel,
+        q: Tensor,
+        pi: Tensor,
+        followed: Tensor | None,
+        T: Tensor,
+        abscissae: Tensor,
+        dt: Tensor,
+        seen: Tensor,
+        evidence: BankEvidence,
+    ) -> tuple[Tensor, BankEvidence]:
+        """pi_hat_dot (..., n_b), m/s, and the evidence after this visit; rows that are not seen or not finite stay.
+
+        Args:
+            backbone: The model.
+            q, followed, abscissae: Not used: the models of the bank have their own.
+            pi: (..., n_b) pi_hat, m.
+            T: (..., k, 4, 4) measured poses.
+            dt: (...) s since the last sample.
+            seen: (...) bool, rows all of whose sensors count.
+            evidence: From `initial_evidence` or the last step.
+        """
+        M = self.candidates.shape[-2]
+        models = self.candidates.to(pi).expand(*pi.shape[:-1], M, pi.shape[-1])
+        chosen = torch.arange(M, device=pi.device) == evidence.turn.unsqueeze(-1)
+        visited = torch.where(chosen.unsqueeze(-1), models, 0.0).sum(-2)
+        seed = torch.where(chosen.unsqueeze(-1), evidence.q, 0.0).sum(-2)
+        q_m = self.feedback(seed, visited, T).q_bar
+        V = self.cost(backbone, q_m, visited, T)
+        if self.memory > 0.0:
+            before = torch.where(chosen, evidence.cost, 0.0).sum(-1)
+            V = torch.where(before < UNSEEN, torch.lerp(V, before, torch.exp(-M * dt / self.memory)), V)
+        good = seen & torch.isfinite(V)
+        new = chosen & good.unsqueeze(-1)
+        later = BankEvidence(
+            torch.where(new.unsqueeze(-1), q_m.unsqueeze(-2), evidence.q),
+            torch.where(new, V.unsqueeze(-1), evidence.cost),
+            torch.where(seen, torch.where(evidence.turn + 1 < M, evidence.turn + 1, 0), evidence.turn),
+        )
+        low = later.cost.amin(-1, keepdim=True)
+        weight = torch.exp((low - later.cost) / (self.sharpness * low + self.resolution**2)).unsqueeze(-1)
+        best = (weight * models).sum(-2) / weight.sum(-2)
+        velocity = (best - pi) / self.time_constant
+        velocity = velocity / (velocity.abs().amax(-1, keepdim=True) / self.rate).clamp(min=1.0)
+        return torch.where(good.unsqueeze(-1), velocity, 0.0), later
+
+    def cost(self, backbone: KinematicModel, q: Tensor, pi: Tensor, T: Tensor) -> Tensor:
+        """V (...), m^2, of rest lengths pi (..., n_b) at q (..., n), poses T (..., k, 4, 4); unchecked."""
+        X = self.curve.abscissae.to(pi)
+        X = X.expand(*pi.shape[:-1], X.shape[-1])
+        off = self.curve.across(backbone.chain_to(q, backbone.material_points(pi, *located(X, pi))), T)
+        dL = q[..., backbone.coordinates.elongations]
+        away = pi - self.nominal.to(pi)
+        prior = self.elongation_weight**2 * dL.square().sum(-1) + self.nominal_weight**2 * away.square().sum(-1)
+        return off.square().mean((-1, -2)) + prior
+
+
+def candidates(nominal: Tensor, shares: Sequence[float], abscissae: Tensor) -> Tensor:
+    """(..., M, n_b) rest lengths, m: the nominal ones, then every combination of shares of all sections but the last.
+
+    Left out are those with no length for the last section, and those that the sensors cannot tell: for every section
+    there must be a sensor of its own in it or in the next one, as a spline needs a point for every knot (the condition
+    of Schoenberg and Whitney). Otherwise one section is bent at will and its neighbour unbends it.
+
+    Args:
+        nominal: (..., n_b) m.
+        shares: Relative to a section's nominal length.
+        abscissae: (..., k) of the sensors, m, increasing.
+
+    Raises:
+        ConfigError: There are fewer sensors than sections or one section alone, or no combination is left.
+    """
+    n_b, k = nominal.shape[-1], abscissae.shape[-1]
+    if k < n_b:
+        raise ConfigError(f"a bank of models with {n_b} sections needs at least {n_b} sensors, got {k}")
+    others = [factors for factors in itertools.product(shares, repeat=n_b - 1) if any(f != 1.0 for f in factors)]
+    if not others:
+        raise ConfigError(f"a bank needs two sections or more and shares other than 1, got {n_b} and {list(shares)}")
+    combined = torch.tensor(others).to(nominal)
+    first = nominal.unsqueeze(-2)[..., :-1] * combined
+    last = nominal.sum(-1)[..., None, None] - first.sum(-1, keepdim=True)
+    made = torch.cat((first, last.expand(*first.shape[:-1], 1)), dim=-1)
+    kept = (made[..., -1] > 0) & _told_apart(made, abscissae.to(nominal).unsqueeze(-2))
+    kept = kept.reshape(-1, kept.shape[-1]).all(0)  # in every row, for rows share the number of models
+    if not bool(kept.any()):
+        raise ConfigError(f"shares must leave lengths that the sensors can tell, got {list(shares)}")
+    return torch.cat((nominal.unsqueeze(-2), made[..., kept, :]), dim=-2)
+
+
+def _told_apart(lengths: Tensor, abscissae: Tensor) -> Tensor:
+    """(...) whether sensors at `abscissae` (..., k) tell the sections of `lengths` (..., n_b) from each other."""
+    n_b, k = lengths.shape[-1], abscissae.shape[-1]
+    ends = torch.nn.functional.pad(lengths.cumsum(-1), (1, 1))
+    ends[..., -1] = float("inf")  # nothing follows the last section
+    told = torch.zeros(torch.broadcast_shapes(lengths.shape[:-1], abscissae.shape[:-1]), dtype=torch.bool)
+    for chosen in itertools.combinations(range(k), n_b):
+        X = abscissae[..., list(chosen)]
+        told = told.to(X.device) | ((ends[..., :n_b] < X) & (ends[..., 2:] > X)).all(-1)
+    return told
