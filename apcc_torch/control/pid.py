@@ -50,7 +50,9 @@ class TendonPID(nn.Module):
                 check_setting(name, bound)
         hold(self, K_P=K_P, K_I=K_I, K_D=K_D, force_limit=force_limit, integral_limit=integral_limit)
 
-    def forward(self, z: Tensor, y: Tensor, ydot: Tensor, y_d: Tensor, ydot_d: Tensor) -> Tensor:
+    def forward(
+        self, z: Tensor, y: Tensor, ydot: Tensor, y_d: Tensor, ydot_d: Tensor, force: Tensor | None = None
+    ) -> Tensor:
         """Forces u (..., n_a), N.
 
         Args:
@@ -59,13 +61,14 @@ class TendonPID(nn.Module):
             ydot: (..., n_a) m/s.
             y_d: (..., n_a) their reference, m.
             ydot_d: (..., n_a) m/s.
+            force: (..., n_a) feed-forward, N, added before the bound; None for none.
         """
         check_tensor("y", y, (None,))
         check_tensor("y_d", y_d, (y.shape[-1],))
         check_same(y=y, y_d=y_d)
         K_P, K_I, K_D = aligned(self.K_P, 1), aligned(self.K_I, 1), aligned(self.K_D, 1)
         u = K_P * (y_d - y) + K_I * z + K_D * (ydot_d - ydot)
-        return within(u, self.force_limit)
+        return within(u if force is None else u + force, self.force_limit)
 
     def integrate(self, z: Tensor, y: Tensor, y_d: Tensor, dt: float) -> Tensor:
         """The integral after dt seconds, (..., n_a) m s."""
@@ -84,13 +87,14 @@ def within(x: Tensor, bound: Setting | None) -> Tensor:
 
 
 class TendonReference(NamedTuple):
-    """Reference of the tendon loop: y_d (..., n_a) m and ydot_d (..., n_a) m/s."""
+    """Reference of the tendon loop: y_d (..., n_a) m, ydot_d (..., n_a) m/s and force, a feed-forward (..., n_a) N."""
 
     y_d: Tensor
     ydot_d: Tensor
+    force: Tensor | None = None
 
 
-def ramp(previous: Tensor, y: Tensor, share: float, period: float) -> TendonReference:
+def ramp(previous: Tensor, y: Tensor, share: float, period: float, force: Tensor | None = None) -> TendonReference:
     """The reference between two commands: a straight line over one control period.
 
     Args:
@@ -98,5 +102,6 @@ def ramp(previous: Tensor, y: Tensor, share: float, period: float) -> TendonRefe
         y: (..., n_a) this command, m.
         share: Part of the period that has passed, 0 to 1.
         period: Control period, s.
+        force: (..., n_a) feed-forward during the period, N; None for none.
     """
-    return TendonReference(torch.lerp(previous, y, share), (y - previous) / period)
+    return TendonReference(torch.lerp(previous, y, share), (y - previous) / period, force)

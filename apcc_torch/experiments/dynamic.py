@@ -11,15 +11,18 @@ import torch
 from torch import Tensor
 
 from apcc_torch.configs.build import Builder
+from apcc_torch.configs.dynamics_law import true_parameters, with_dynamics
 from apcc_torch.configs.schema import SimulateConfig
 from apcc_torch.control.inverse_kinematics import elongation_cost
 from apcc_torch.experiments.folder import RunFolder, progress_bar
 from apcc_torch.model.abscissae import decouple
 from apcc_torch.model.backbone import PCCBackbone
+from apcc_torch.model.dynamics_regressor import PARAMETERS
 from apcc_torch.model.kinematic_model import KinematicModel
 from apcc_torch.report import dynamic as figures
 from apcc_torch.report.animation import save_animation
 from apcc_torch.report.backbone_drawing import Snapshots, marker_positions, spread_indices, stroboscopic_figure
+from apcc_torch.report.dynamics_parameters import dynamics_parameter_figure
 from apcc_torch.report.style import save_figures
 from apcc_torch.simulation.dynamic import DynamicLog, DynamicSettings, simulate_dynamic
 from apcc_torch.simulation.metrics import backbone_error, mapping_error, orientation_error
@@ -39,6 +42,7 @@ class Arms(NamedTuple):
     true_lengths: Tensor  # (n_t,) m
     model: KinematicModel
     sensors: Tensor  # (k,) m
+    theta: Tensor  # (R, 5) the true arm's `dynamics_regressor.PARAMETERS`
 
 
 class Outcome(NamedTuple):
@@ -68,12 +72,8 @@ def simulate(
         ConfigError, ValueRangeError: A setting has no meaning.
     """
     build = Builder(config, points)
-    controller = build.controller(adaptive)
-    trajectory: Trajectory
-    if config.experiment.setpoints is not None and len(config.experiment.setpoints) > 0:
-        trajectory, payload = build.grid()
-    else:
-        trajectory, payload = build.sine(), build.payloads()
+    controller = with_dynamics(build, build.controller(adaptive))
+    trajectory, payload = _rows(build)
     plant = build.plant(payload)
     settings = DynamicSettings(
         config.experiment.duration, config.controller.rate, config.plant.substeps, config.plant.settle, config.compile
@@ -90,8 +90,16 @@ def simulate(
             generator,
             progress or progress_bar(label, config.progress),
         )
-    arms = Arms(plant.backbone, plant.dynamics.lengths, controller.backbone, controller.feedback.abscissae)
+    true = true_parameters(build, payload)
+    arms = Arms(plant.backbone, plant.dynamics.lengths, controller.backbone, controller.feedback.abscissae, true)
     return Outcome(log, arms)
+
+
+def _rows(build: Builder) -> tuple[Trajectory, Tensor]:
+    """The targets of all rows, and their payloads (R,) kg."""
+    if build.config.experiment.setpoints is not None and len(build.config.experiment.setpoints) > 0:
+        return build.grid()
+    return build.sine(), build.payloads()
 
 
 def one_of(outcome: Outcome, config: SimulateConfig, p: int) -> Outcome:
@@ -103,7 +111,9 @@ def one_of(outcome: Outcome, config: SimulateConfig, p: int) -> Outcome:
 
 def loaded(config: SimulateConfig, data: Mapping[str, Tensor]) -> Outcome:
     """The outcome of a run from its trajectory.npz."""
-    return Outcome(DynamicLog(*(data[name] for name in DynamicLog._fields)), _arms(config))
+    # Runs of before there was a law of the dynamics have no estimates of it.
+    fields = {"theta_hat": data["u"][..., :0], **data}
+    return Outcome(DynamicLog(*(fields[name] for name in DynamicLog._fields)), _arms(config))
 
 
 def arrays(outcome: Outcome) -> dict[str, Tensor]:
@@ -113,14 +123,16 @@ def arrays(outcome: Outcome) -> dict[str, Tensor]:
 
 def metrics(outcome: Outcome) -> dict[str, float]:
     """Metrics of one run."""
-    return dynamic_metrics(curves(thinned(outcome.log), outcome.arms), outcome.log.diverged_at)
+    found = dynamic_metrics(curves(thinned(outcome.log), outcome.arms), outcome.log.diverged_at)
+    return found | estimate_metrics(outcome)
 
 
 def _arms(config: SimulateConfig) -> Arms:
     build = Builder(config)
     lengths = build.vector("plant.lengths", config.plant.lengths)
     true = PCCBackbone(lengths.shape[-1], build.base_rotation())
-    return Arms(true, lengths, build.backbone(), build.sensors_at())
+    theta = true_parameters(build, _rows(build)[1])
+    return Arms(true, lengths, build.backbone(), build.sensors_at(), theta)
 
 
 def thinned(log: DynamicLog, instants: int = INSTANTS) -> DynamicLog:
@@ -186,6 +198,25 @@ def dynamic_metrics(c: figures.RunCurves, diverged_at: Tensor) -> dict[str, floa
     return {name: float(value) for name, value in metrics.items()}
 
 
+def estimate_metrics(outcome: Outcome) -> dict[str, float]:
+    """What a law of the dynamics has found by the end, and the force it took; nothing where there is none."""
+    log, arms = outcome
+    if log.theta_hat.shape[-1] == 0:
+        return {}
+    end = dict(zip(PARAMETERS, log.theta_hat[-1].unbind(-1), strict=True))
+    off = 1e3 * (end["payload"] - arms.theta[..., PARAMETERS.index("payload")]).abs()
+    found = {
+        "payload_mass_error_end_mean_g": off.mean(),
+        "payload_mass_error_end_max_g": off.max(),
+        "bending_rigidity_end_mean_nm2": end["bending_rigidity"].mean(),
+        "axial_rigidity_end_mean_n": end["axial_rigidity"].mean(),
+        "tendon_damping_end_mean_nspm": end["tendon_damping"].mean(),
+        "tendon_force_rms_n": log.u.square().mean().sqrt(),
+        "tendon_force_max_n": log.u.abs().max(),
+    }
+    return {name: float(value) for name, value in found.items()}
+
+
 def snapshots(log: DynamicLog, arms: Arms, row: int, count: int | None) -> Snapshots:
     """Moments of one run: `count` of them spread over it, or all of the log's."""
     at = list(range(log.time.shape[0]))
@@ -222,6 +253,8 @@ def draw(outcome: Outcome, folder: Path, name: str = "run") -> None:
         "mapping_error.png": figures.mapping_error_figure(runs),
         "stroboscopic.png": stroboscopic_figure({name: snapshots(thin, outcome.arms, -1, 6)}),
     }
+    if thin.theta_hat.shape[-1] > 0:
+        pictures["dynamics.png"] = dynamics_parameter_figure(thin.time, thin.theta_hat, outcome.arms.theta)
     save_figures(pictures, folder)
     film = {"shape error (mm)": 1e3 * c.shape_error[:, -1], "end-effector error (mm)": 1e3 * c.e[:, -1]}
     save_animation(folder / "animation", snapshots(thin, outcome.arms, -1, None), film)

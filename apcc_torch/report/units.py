@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-METRIC_UNITS = {"mm": "mm", "cm": "cm", "m": "m", "s": "s", "rad": "rad", "kg": "kg", "hz": "Hz"}
+METRIC_UNITS = {"mm": "mm", "cm": "cm", "m": "m", "s": "s", "rad": "rad", "kg": "kg", "g": "g", "hz": "Hz"} | {
+    "n": "N", "nm2": "N m²", "nspm": "N s/m"
+}  # fmt: skip
 """The last part of a metric's name -> its unit."""
 
 KEY_UNITS = {
@@ -18,6 +20,17 @@ KEY_UNITS = {
     "controller.elongation_bound": "m",
     "controller.length_rate": "m/s",
     "controller.rate": "Hz",
+    "dynamics_law.axial_rigidity": "N",
+    "dynamics_law.bending_rigidity": "N m²",
+    "dynamics_law.filter_time": "s",
+    "dynamics_law.force_limit": "N",
+    "dynamics_law.mass": "kg",
+    "dynamics_law.memory": "s",
+    "dynamics_law.payload": "kg",
+    "dynamics_law.reference_time": "s",
+    "dynamics_law.stiffness": "1/s",
+    "dynamics_law.tendon_damping": "N s/m",
+    "dynamics_law.torque_noise": "N m",
     "experiment.A": "m",
     "experiment.duration": "s",
     "experiment.omega": "rad/s",

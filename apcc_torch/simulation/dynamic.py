@@ -12,8 +12,9 @@ from typing import NamedTuple
 import torch
 from torch import Tensor, nn
 
+from apcc_torch.control.composite_controller import CompositeController, CompositeState
 from apcc_torch.control.controller import APCCController
-from apcc_torch.control.pid import ramp
+from apcc_torch.control.pid import TendonReference, ramp
 from apcc_torch.control.signals import ControllerState, Measurement
 from apcc_torch.errors import ConfigError, ValueRangeError
 from apcc_torch.model.abscissae import decouple
@@ -60,7 +61,8 @@ class DynamicLog(NamedTuple):
 
     time: (T,) s. x_d, x: (T, R, 3) m. q_true: (T, R, 3 n_t). q_bar, q_d: (T, R, n). pi_hat: (T, R, n_b) m.
     angular_error, linear_error: (T, R, k) rad, m. status: (T, R) `FeedbackStatus`. y, y_d: (T, R, n_a) m.
-    u: (T, R, n_a) N. diverged_at: (R,) int64 control step at which a row left its bounds, -1 if it did not.
+    u: (T, R, n_a) N. theta_hat: (T, R, p) parameters of the dynamics, `dynamics_regressor.PARAMETERS`; p = 0 where the
+    controller has none. diverged_at: (R,) int64 control step at which a row left its bounds, -1 if it did not.
     """
 
     time: Tensor
@@ -76,16 +78,21 @@ class DynamicLog(NamedTuple):
     y: Tensor
     y_d: Tensor
     u: Tensor
+    theta_hat: Tensor
     diverged_at: Tensor
 
 
 class LoopState(NamedTuple):
-    """All that a closed loop remembers: the true arm, the controller, the sensors, the last command y (R, n_a), m."""
+    """All that a closed loop remembers: the true arm, the controller, the sensors, the last command y (R, n_a), m.
+
+    u: (R, n_a) tendon forces now, N, for a controller that measures them; None for others.
+    """
 
     plant: PlantState
-    controller: ControllerState
+    controller: ControllerState | CompositeState
     sensors: SensorState
     y: Tensor
+    u: Tensor | None = None
 
 
 class ClosedLoop(nn.Module):
@@ -109,7 +116,7 @@ class ClosedLoop(nn.Module):
     def __init__(
         self,
         plant: Plant,
-        controller: APCCController,
+        controller: APCCController | CompositeController,
         sensors: PoseSensors,
         trajectory: Trajectory,
         period: float,
@@ -148,7 +155,12 @@ class ClosedLoop(nn.Module):
         state = controller.initial_state(q, pi_hat, torch.zeros((), dtype=T.dtype, device=T.device))
         y = controller.tendons(state.q_d, state.pi_hat)
         assert y is not None  # refused above
-        return LoopState(arm, state, self.sensors.initial_state(T), y)
+        u = None
+        if isinstance(controller, CompositeController):
+            # What held the settled arm: its tendons at their zero lengths.
+            zero = torch.zeros_like(arm.z)
+            u = self.plant.forces(arm.arm, arm.z, TendonReference(zero, zero))
+        return LoopState(arm, state, self.sensors.initial_state(T), y, u)
 
     def blank(self) -> tuple[LoopState, Tensor, Tensor, Draws]:
         """Arguments of the form that one row has: what a compiler needs to see."""
@@ -159,7 +171,8 @@ class ClosedLoop(nn.Module):
         state = self.controller.initial_state(zero.expand(model.n), zero.expand(model.n_sections) + 0.1, zero)
         T = torch.eye(4, dtype=zero.dtype, device=zero.device).expand(self.j.shape[-1], 4, 4)
         sensors = self.sensors.initial_state(T)
-        now = LoopState(PlantState(ArmState(q, q), y, k - 1), state, sensors, y)
+        u = y if isinstance(self.controller, CompositeController) else None
+        now = LoopState(PlantState(ArmState(q, q), y, k - 1), state, sensors, y, u)
         return now, zero, k, self.sensors.draw(T[(None,) * self.sensors.shared])
 
     def forward(self, now: LoopState, time: Tensor, k: Tensor, draws: Draws) -> tuple[LoopState, tuple[Tensor, ...]]:
@@ -174,10 +187,11 @@ class ClosedLoop(nn.Module):
         plant, arm = self.plant, now.plant
         sensors, seen, mask = self.sensors.read(now.sensors, self.poses(arm.arm.q), draws)
         target = self.trajectory(time)
-        state, command = self.controller(now.controller, Measurement(seen, time, mask), target)
+        state, command = self.controller(now.controller, Measurement(seen, time, mask, forces=now.u), target)
         y = command.y
         assert y is not None  # the controller has a routing
-        u = plant.forces(arm.arm, arm.z, ramp(now.y, y, 0.0, self.period))
+        force = command.force
+        u = plant.forces(arm.arm, arm.z, ramp(now.y, y, 0.0, self.period, force))
         x = plant.backbone.tip(arm.arm.q, plant.dynamics.lengths)
         feedback = command.feedback
         row = (
@@ -195,14 +209,17 @@ class ClosedLoop(nn.Module):
             u,
         )
         for i in range(self.substeps):
-            reference = ramp(now.y, y, (i + 1) / self.substeps, self.period)
+            reference = ramp(now.y, y, (i + 1) / self.substeps, self.period, force)
             arm = plant.advance(arm, reference, self.period / self.substeps, k)
-        return LoopState(arm, state, sensors, y), row
+        measured = None
+        if now.u is not None:
+            measured = plant.forces(arm.arm, arm.z, ramp(now.y, y, 1.0, self.period, force))
+        return LoopState(arm, state, sensors, y, measured), row
 
 
 def simulate_dynamic(
     plant: Plant,
-    controller: APCCController,
+    controller: APCCController | CompositeController,
     sensors: PoseSensors,
     trajectory: Trajectory,
     pi_hat: Tensor,
@@ -225,6 +242,12 @@ def simulate_dynamic(
     Raises:
         ConfigError: The controller has no routing.
     """
+
+    def estimated(now: LoopState) -> Tensor:
+        if isinstance(now.controller, CompositeState):
+            return now.controller.theta_hat
+        return now.y[..., :0]
+
     period = 1.0 / settings.control_rate
     loop = ClosedLoop(plant, controller, sensors, trajectory, period, settings.substeps)
     _, time, k, _ = example = loop.blank()
@@ -237,8 +260,9 @@ def simulate_dynamic(
         return time + index * period, k + index, sensors.draw(poses, generator)
 
     def one(now: LoopState, time: Tensor, k: Tensor, draws: Draws) -> tuple[LoopState, tuple[Tensor, ...]]:
+        before = now
         now, row = step(now, time, k, draws)
-        return now, (time, *row)
+        return now, (time, *row, estimated(before))
 
     steps = round(settings.duration * settings.control_rate) + 1
     now, fields = rollout(one, now, arguments, steps, settings.checkpointed, progress)

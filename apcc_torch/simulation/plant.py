@@ -83,7 +83,9 @@ class Plant(nn.Module):
 
     def forces(self, state: ArmState, z: Tensor, reference: TendonReference) -> Tensor:
         """Forces u (..., n_a) of the tendon loop, N."""
-        return self.pid(z, self.lengths(state.q), self.lengths(state.qdot), reference.y_d, reference.ydot_d)
+        return self.pid(
+            z, self.lengths(state.q), self.lengths(state.qdot), reference.y_d, reference.ydot_d, reference.force
+        )
 
     def step(self, state: ArmState, z: Tensor, reference: TendonReference, dt: float) -> tuple[ArmState, Tensor]:
         """One plant step of order 2: linearly implicit Euler over dt and twice over dt/2, extrapolated.
@@ -101,7 +103,7 @@ class Plant(nn.Module):
             The arm and the integral after the step.
         """
         half = 0.5 * dt
-        midway = TendonReference(reference.y_d - half * reference.ydot_d, reference.ydot_d)
+        midway = reference._replace(y_d=reference.y_d - half * reference.ydot_d)
         equation = self.dynamics.equation(state.q, state.qdot, self.payload)
         whole, z_whole = self._euler(state, z, reference, dt, equation)
         middle, z_middle = self._euler(state, z, midway, half, equation)

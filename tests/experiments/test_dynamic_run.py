@@ -124,3 +124,22 @@ def test_a_setting_without_meaning_is_named_and_nothing_is_written(tmp_path: Pat
     with pytest.raises(ApccError, match=named):
         run(tmp_path, change)
     assert not list(tmp_path.iterdir())
+
+
+def test_a_law_of_the_dynamics_is_logged_measured_and_drawn(tmp_path: Path) -> None:
+    metrics = run(tmp_path, "figures=true", "experiment.payloads=[0.5]", experiment="dynamic_run_2_composite")
+    with np.load(tmp_path / "trajectory.npz") as data:
+        theta_hat, u = data["theta_hat"], data["u"]
+    assert theta_hat.shape == (11, 10, 5) and theta_hat[0, 0].tolist() == [0.0778, 10.0, 200.0, 0.0, 1.0]
+    off = 1e3 * np.abs(theta_hat[-1, :, 3] - 0.5)
+    assert metrics["payload_mass_error_end_mean_g"] == pytest.approx(off.mean())
+    assert metrics["payload_mass_error_end_max_g"] == pytest.approx(off.max())
+    assert metrics["bending_rigidity_end_mean_nm2"] == pytest.approx(theta_hat[-1, :, 0].mean())
+    assert metrics["tendon_force_max_n"] == pytest.approx(np.abs(u).max())
+    assert (tmp_path / "figures" / "dynamics.png").stat().st_size > 0
+    config = changed("dynamic_run_2_composite", *QUICK, "experiment.payloads=[0.5]")
+    with np.load(tmp_path / "trajectory.npz") as data:
+        again = dynamic.loaded(config, {name: torch.from_numpy(data[name]) for name in data})
+        older = {name: torch.from_numpy(data[name]) for name in data if name != "theta_hat"}
+    assert dynamic.estimate_metrics(again)["payload_mass_error_end_max_g"] == pytest.approx(off.max())
+    assert dynamic.estimate_metrics(dynamic.loaded(config, older)) == {}
