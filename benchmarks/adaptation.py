@@ -34,8 +34,7 @@ LAWS: dict[str, tuple[str, ...]] = {
     "joint": ("residual.target=sensors", "residual.angular_weight=0.03", "residual.memory=0.5",
               "residual.nominal_weight=0.05", "residual.elongation_weight=0.05", "residual.time_constant=0.3"),
     "curve": ("residual.time_constant=0.3", "residual.nominal_weight=0.02", "residual.elongation_weight=0.05"),
-    "bank": ("residual=bank", "residual.time_constant=0.15", "residual.nominal_weight=0.002",
-             "residual.elongation_weight=0.02"),
+    "bank": ("residual=bank", "residual.nominal_weight=0.002", "residual.elongation_weight=0.02"),
 }  # fmt: skip
 TASK_LAWS = ("task error, partial", "task error, total")
 FEW = ("fixed", "task error, total", "curve", "bank")

@@ -1,8 +1,8 @@
 """Kinematic models compared: `python benchmarks/models.py` writes models.json and the table of docs/models.md.
 
 Section V-B's arm under 0.5 kg, poses seen, ten set-points, 6 s: every model with two, three and four sections, with
-fixed and with adapting rest lengths and the same settings otherwise. Beside what they reach, what one arm's step costs:
-eager, and with --compiled as machine code, which takes minutes to build for the larger models. About ten minutes.
+fixed rest lengths and with those that the curve's law or the bank adapts. Beside what they reach, what one arm's step
+costs: eager, and with --compiled as machine code, which takes minutes to build for the larger models. Ten minutes.
 """
 
 from __future__ import annotations
@@ -37,16 +37,18 @@ MODELS: dict[str, tuple[str, ...]] = {
     ),
     "affine curvature": ("model=affine",),
 }  # fmt: skip
+SENSORS = 3
 SECTIONS = {2: (0.36, 0.24), 3: (0.105, 0.255, 0.24), 4: (0.105, 0.1275, 0.1275, 0.24)}
 POSES = ("experiment=dynamic_run_2_tuned", "experiment.payloads=[0.5]", "experiment.duration=6.0", "progress=false")
 CONTROLLERS = {
     "fixed": ("controller.adaptive=false",),
-    "adaptive": (
+    "curve": (
         "residual.tangents=measured",
         "residual.time_constant=0.3",
         "residual.nominal_weight=0.05",
         "residual.elongation_weight=0.05",
     ),
+    "bank": ("residual=bank", "residual.nominal_weight=0.002", "residual.elongation_weight=0.02"),
 }
 KEPT = (
     "shape_error_mean_mm", "shape_error_max_mm", "sensor_error_linear_mean_mm", "sensor_error_angular_mean_rad",
@@ -69,8 +71,12 @@ def settings(model: str, sections: int, controller: str) -> SimulateConfig:
         *CONTROLLERS[controller],
         *MODELS[model],
         f"robot.rest_lengths={_listed(lengths, 1.0)}",
-        f"adaptation.lower={_listed(lengths, 0.75)}",
-        f"adaptation.upper={_listed(lengths, 1.25)}",
+    ]
+    # A bank goes where its models are.
+    bank = controller == "bank"
+    asked += [
+        f"adaptation.lower={'null' if bank else _listed(lengths, 0.75)}",
+        f"adaptation.upper={'null' if bank else _listed(lengths, 1.25)}",
     ]
     with initialize_config_dir(conf_path(), version_base="1.3"):
         return typed(compose("simulate", asked), SimulateConfig)
@@ -148,7 +154,8 @@ def main() -> None:
     if options.table:
         results = json.loads(Path(options.out).read_text(encoding="utf-8"))
     else:
-        tasks = [(m, n, c) for m in MODELS for n in SECTIONS for c in CONTROLLERS]
+        # A bank of models refuses more sections than sensors.
+        tasks = [(m, n, c) for m in MODELS for n in SECTIONS for c in CONTROLLERS if c != "bank" or n <= SENSORS]
         for model, sections, controller in tqdm(tasks, desc="settings"):
             found = measured(model, sections, controller, options.compiled)
             results.setdefault(model, {}).setdefault(str(sections), {})[controller] = found

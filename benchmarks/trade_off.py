@@ -33,8 +33,8 @@ CONTROLLERS = {
         ORANGE,
     ),
     "bank": (
-        ("residual=bank", "residual.time_constant=0.15", "residual.elongation_weight=0.02",
-         "residual.nominal_weight=0.002", "adaptation.lower=null", "adaptation.upper=null"),
+        ("residual=bank", "residual.elongation_weight=0.02", "residual.nominal_weight=0.002",
+         "adaptation.lower=null", "adaptation.upper=null"),
         BLUE,
     ),
 }  # fmt: skip
