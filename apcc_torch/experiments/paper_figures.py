@@ -62,7 +62,7 @@ def trade_offs(outcomes: Outcomes) -> dict[str, TradeOff]:
         if limits is None or run.endswith((HELD_OUT, SINGLE)):
             continue
         reached = {name: (o.metrics["shape_error_mean_mm"], o.metrics["psi_mean_cm"]) for name, o in both.items()}
-        found[run.replace("_", " ")] = TradeOff(limits.trade_off(), 1e3 * float(limits.shape.mean()), reached)
+        found[run.replace("_", " ")] = TradeOff(limits.trade_off(), 1e3 * limits.mean(limits.shape), reached)
     return found
 
 

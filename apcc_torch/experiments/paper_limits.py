@@ -45,6 +45,7 @@ class Limits(NamedTuple):
 
     shape: (S, R) m, the oracle's. psi: (S, R) m, linear: (S, R, k) m and angular: (S, R, k) rad, over the grid of rest
     lengths. front: (P, 2, S, R) shape error and Psi, m, of the rest lengths that are best at each price of `PRICES`.
+    share: (S,) of the time that an instant stands for; means over time are weighed by it.
     """
 
     shape: Tensor
@@ -52,34 +53,40 @@ class Limits(NamedTuple):
     linear: Tensor
     angular: Tensor
     front: Tensor
+    share: Tensor
 
     def rows(self, index: list[int]) -> Limits:
         """Some runs alone."""
         return Limits(
             self.shape[:, index], self.psi[:, index], self.linear[:, index], self.angular[:, index],
-            self.front[..., index],
+            self.front[..., index], self.share,
         )  # fmt: skip
+
+    def mean(self, value: Tensor) -> float:
+        """Mean of a value (S, R, ...) over time, runs and all else."""
+        weighed: Tensor = self.share.reshape(-1, *[1] * (value.dim() - 1)) * value
+        return float(weighed.sum(0).mean())
 
     def metrics(self) -> dict[str, float]:
         """Flat metrics under the names of the runs' own."""
         values = {
-            "shape_error_mean_mm": 1e3 * self.shape.mean(),
+            "shape_error_mean_mm": 1e3 * self.mean(self.shape),
             "shape_error_max_mm": 1e3 * self.shape.max(),
             "shape_error_min_mm": 1e3 * self.shape.min(),
-            "psi_mean_cm": 1e2 * self.psi.mean(),
+            "psi_mean_cm": 1e2 * self.mean(self.psi),
             "psi_max_cm": 1e2 * self.psi.max(),
             "psi_min_cm": 1e2 * self.psi.min(),
-            "sensor_error_linear_mean_mm": 1e3 * self.linear.mean(),
-            "sensor_error_angular_mean_rad": self.angular.mean(),
+            "sensor_error_linear_mean_mm": 1e3 * self.mean(self.linear),
+            "sensor_error_angular_mean_rad": self.mean(self.angular),
         }
         for i in range(self.linear.shape[-1]):
-            values[f"sensor_{i + 1}_error_linear_mean_mm"] = 1e3 * self.linear[..., i].mean()
-            values[f"sensor_{i + 1}_error_angular_mean_rad"] = self.angular[..., i].mean()
+            values[f"sensor_{i + 1}_error_linear_mean_mm"] = 1e3 * self.mean(self.linear[..., i])
+            values[f"sensor_{i + 1}_error_angular_mean_rad"] = self.mean(self.angular[..., i])
         return {name: float(value) for name, value in values.items()}
 
     def trade_off(self) -> list[tuple[float, float]]:
         """(mean shape error in mm, mean Psi in cm) along the front, the cheapest Psi last."""
-        return [(1e3 * float(shape.mean()), 1e2 * float(psi.mean())) for shape, psi in self.front]
+        return [(1e3 * self.mean(shape), 1e2 * self.mean(psi)) for shape, psi in self.front]
 
 
 def length_grid(config: SimulateConfig, build: Builder) -> Tensor:
@@ -128,6 +135,9 @@ def limits(config: SimulateConfig, log: DynamicLog, arms: Arms) -> Limits:
         for price in PRICES:
             best = (errors + price * psi).argmin(0, keepdim=True)
             front.append(torch.stack((errors.gather(0, best)[0], psi.gather(0, best)[0])))
+    # An instant stands for the time half way to its neighbours, the first one from the start, the last one to the end.
+    edges = torch.cat((log.time[:1], 0.5 * (few.time[1:] + few.time[:-1]), few.time[-1:]))
+    share = edges.diff() / (edges[-1] - edges[0])
     return Limits(
-        torch.minimum(shape, errors.amin(0)), psi.amin(0), linear.amin(0), angular.amin(0), torch.stack(front)
+        torch.minimum(shape, errors.amin(0)), psi.amin(0), linear.amin(0), angular.amin(0), torch.stack(front), share
     )

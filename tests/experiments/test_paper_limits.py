@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from apcc_torch.configs.build import Builder
-from apcc_torch.experiments.dynamic import simulate
+from apcc_torch.experiments.dynamic import simulate, thinned
 from apcc_torch.experiments.paper_limits import PRICES, Limits, length_grid, limits
 from apcc_torch.simulation.metrics import backbone_error
 from composed import composed
@@ -45,7 +45,21 @@ def test_the_front_trades_shape_for_elongation(found: tuple[Limits, float, float
 def test_rows_and_names(found: tuple[Limits, float, float]) -> None:
     limit = found[0]
     assert limit.rows([0]).metrics() == limit.metrics()
-    assert limit.metrics()["sensor_3_error_linear_mean_mm"] == pytest.approx(1e3 * float(limit.linear[..., 2].mean()))
+    third = 1e3 * limit.linear[..., 2].mean(-1)
+    assert limit.metrics()["sensor_3_error_linear_mean_mm"] == pytest.approx(float((limit.share * third).sum()))
+
+
+def test_an_instant_stands_for_the_time_around_it() -> None:
+    # A curve that is straight in time has the mean of its middle, wherever the instants are.
+    config = composed(
+        "experiment=dynamic_single", "experiment.duration=0.5", "progress=false", "controller.adaptive=false"
+    )
+    log, arms = simulate(config, False, "")
+    limit = limits(config, log, arms)
+    assert float(limit.share.sum()) == pytest.approx(1.0)
+    instants = thinned(log, len(limit.share)).time
+    assert len(instants) == len(limit.share)
+    assert limit.mean(instants.unsqueeze(-1)) == pytest.approx(0.25, abs=0.01)
 
 
 def test_the_grid_spans_the_bounds_and_more_and_holds_the_nominal_lengths() -> None:
