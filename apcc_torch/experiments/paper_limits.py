@@ -69,7 +69,7 @@ class Limits(NamedTuple):
 
     def metrics(self) -> dict[str, float]:
         """Flat metrics under the names of the runs' own."""
-        values = {
+        values: dict[str, Tensor | float] = {
             "shape_error_mean_mm": 1e3 * self.mean(self.shape),
             "shape_error_max_mm": 1e3 * self.shape.max(),
             "shape_error_min_mm": 1e3 * self.shape.min(),
