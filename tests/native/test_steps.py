@@ -9,8 +9,8 @@ import torch
 from torch import Tensor
 
 from apcc_torch import AdaptiveLaw, APCCController, InverseKinematics, PCCBackbone, SavitzkyGolay, StateFeedback
-from apcc_torch.control.pid import TendonPID
 from apcc_torch.control.length_bank import LengthBank
+from apcc_torch.control.pid import TendonPID
 from apcc_torch.control.residual_adaptation import ResidualLaw
 from apcc_torch.control.signals import Measurement, Target
 from apcc_torch.estimation.sensor_curve import SensorCurve
