@@ -205,7 +205,7 @@ def candidates(nominal: Tensor, shares: Sequence[float], abscissae: Tensor) -> T
     others = [factors for factors in itertools.product(shares, repeat=n_b - 1) if any(f != 1.0 for f in factors)]
     if not others:
         raise ConfigError(f"a bank needs two sections or more and shares other than 1, got {n_b} and {list(shares)}")
-    combined = torch.tensor(others).to(nominal)
+    combined = torch.tensor(others, dtype=torch.float64).to(nominal)
     first = nominal.unsqueeze(-2)[..., :-1] * combined
     last = nominal.sum(-1)[..., None, None] - first.sum(-1, keepdim=True)
     made = torch.cat((first, last.expand(*first.shape[:-1], 1)), dim=-1)
