@@ -9,23 +9,19 @@ from __future__ import annotations
 import argparse
 import json
 import multiprocessing
-from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
 import torch
-from hydra import compose, initialize_config_dir
-from hydra.core.config_store import ConfigStore
+from run_settings import run_settings
+from sections import SECTIONS, listed
 from tqdm import tqdm
 
-from apcc_torch.conf_path import conf_path
-from apcc_torch.configs.schema import SimulateConfig
-from apcc_torch.configs.typed import typed
 from apcc_torch.experiments.dynamic import curves, dynamic_metrics, simulate, thinned
 from apcc_torch.files import write_json
 from apcc_torch.report.style import SERIES, dress, new_figure, save_figure
 
-BASE = ("experiment=dynamic_run_2_tuned", "experiment.subset=training", "experiment.duration=6.0", "progress=false")
+BASE = ("experiment=dynamic_run_2_tuned", "experiment.subset=training", "experiment.duration=6.0")
 TASK = ("residual.target=null", "adaptation.rate=0.1", "adaptation.dead_zone=0.002")
 LAWS: dict[str, tuple[str, ...]] = {
     "fixed": ("controller.adaptive=false",),
@@ -41,11 +37,6 @@ FEW = ("fixed", "task error, total", "curve", "bank")
 SENSORS = {
     1: "[0.6]", 2: "[0.36,0.6]", 3: "[0.105,0.36,0.6]", 4: "[0.105,0.2325,0.36,0.6]", 5: "[0.105,0.2325,0.36,0.48,0.6]",
 }  # fmt: skip
-SECTIONS = {2: (0.36, 0.24), 3: (0.105, 0.255, 0.24), 4: (0.105, 0.1275, 0.1275, 0.24)}
-
-
-def _listed(lengths: Sequence[float], factor: float = 1.0) -> str:
-    return "[" + ",".join(f"{factor * length:.4f}" for length in lengths) + "]"
 
 
 def studies() -> dict[str, tuple[str, tuple[str, ...], dict[float, tuple[str, ...]]]]:
@@ -75,7 +66,7 @@ def studies() -> dict[str, tuple[str, tuple[str, ...], dict[float, tuple[str, ..
         "delay": ("delay of the sensors (ms)", FEW, delays),
         "sensors": ("sensors", FEW, {float(k): (f"robot.sensors={v}",) for k, v in SENSORS.items()}),
         "sections": ("sections of the model", FEW,
-                     {float(k): (f"robot.rest_lengths={_listed(v)}",) for k, v in SECTIONS.items()}),
+                     {float(k): (f"robot.rest_lengths={listed(v)}",) for k, v in SECTIONS.items()}),
         "payload": ("payload (kg)", FEW, {p: (f"experiment.payloads=[{p}]",) for p in (0.0, 0.25, 0.5)}),
     }  # fmt: skip
     return found
@@ -84,9 +75,7 @@ def studies() -> dict[str, tuple[str, tuple[str, ...], dict[float, tuple[str, ..
 def measured(overrides: tuple[str, ...]) -> dict[str, float] | None:
     """The metrics of one setting; None where the law does not take it."""
     torch.set_num_threads(1)
-    ConfigStore.instance().store(name="simulate_schema", node=SimulateConfig)
-    with initialize_config_dir(conf_path(), version_base="1.3"):
-        config = typed(compose("simulate", [*BASE, *overrides]), SimulateConfig)
+    config = run_settings(*BASE, *overrides)
     lengths, bank = config.robot.rest_lengths, config.residual.target == "bank"
     if bank and len(config.robot.sensors) < len(lengths):
         return None  # which a bank refuses

@@ -27,25 +27,18 @@ from typing import Any
 
 import numpy as np
 import torch
-from hydra import compose, initialize_config_dir
-from hydra.core.config_store import ConfigStore
 from matplotlib.axes import Axes
+from run_settings import run_settings
 from torch import Tensor
 from tqdm import tqdm
 
-from apcc_torch.conf_path import conf_path
-from apcc_torch.configs.schema import SimulateConfig
-from apcc_torch.configs.typed import typed
 from apcc_torch.experiments.dynamic import Outcome, metrics, simulate
 from apcc_torch.files import write_json
 from apcc_torch.model.dynamics_regressor import PARAMETERS
 from apcc_torch.report.dynamic import settling_times
 from apcc_torch.report.style import SERIES, Array, dress, legend, log_scale, new_figure, save_figure, values
 
-BASE = (
-    *("experiment=dynamic_run_2_tuned", "controller.null_gain=0.2", "controller.adaptive=false"),
-    *("compile=aot", "progress=false"),
-)
+BASE = ("experiment=dynamic_run_2_tuned", "controller.null_gain=0.2", "controller.adaptive=false", "compile=aot")
 PAYLOADS = (0.0, 0.25, 0.5)
 CONTROLLERS: dict[str, tuple[str, ...]] = {
     "plain": (),
@@ -74,11 +67,9 @@ CONDITIONS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
 """Condition -> (overrides, the controllers that are compared in it)."""
 
 
-def measured(overrides: Sequence[str]) -> tuple[SimulateConfig, Outcome]:
+def measured(overrides: Sequence[str]) -> Outcome:
     """One run of the whole grid."""
-    with initialize_config_dir(conf_path(), version_base="1.3"):
-        config = typed(compose("simulate", [*BASE, *overrides]), SimulateConfig)
-    return config, simulate(config)
+    return simulate(run_settings(*BASE, *overrides))
 
 
 def numbers(outcome: Outcome) -> dict[str, Any]:
@@ -134,9 +125,9 @@ def run(condition: str, controller: str) -> dict[str, Any]:
     """The numbers of one controller in one condition."""
     overrides = (*CONTROLLERS[controller], *CONDITIONS[condition][0])
     if controller != "known":
-        return numbers(measured(overrides)[1])
+        return numbers(measured(overrides))
     # A row's parameters are those of its run: one run for each payload, put together again.
-    parts = [measured((*overrides, f"experiment.payloads=[{m}]", f"dynamics_law.payload={m}"))[1] for m in PAYLOADS]
+    parts = [measured((*overrides, f"experiment.payloads=[{m}]", f"dynamics_law.payload={m}")) for m in PAYLOADS]
     fields = [torch.cat([getattr(o.log, name) for o in parts], dim=1) for name in parts[0].log._fields[1:-1]]
     log = parts[0].log._replace(**dict(zip(parts[0].log._fields[1:-1], fields, strict=True)))
     log = log._replace(diverged_at=torch.cat([o.log.diverged_at for o in parts]))
@@ -243,7 +234,6 @@ def main() -> None:
         results = json.loads(out.read_text(encoding="utf-8")) if out.is_file() else {}
     if not options.draw:
         torch.set_num_threads(1)
-        ConfigStore.instance().store(name="simulate_schema", node=SimulateConfig)
         wanted = options.only or tuple(CONDITIONS)
         cases = [(condition, name) for condition in wanted for name in CONDITIONS[condition][1]]
         for condition, name in (bar := tqdm(cases, desc="cases")):

@@ -5,15 +5,12 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import torch
-from hydra import compose, initialize_config_dir
-from hydra.core.config_store import ConfigStore
+from run_settings import run_settings
 from torch import Tensor
 
 from apcc_torch import StateFeedback
-from apcc_torch.conf_path import conf_path
 from apcc_torch.configs.build import Builder
 from apcc_torch.configs.schema import SimulateConfig
-from apcc_torch.configs.typed import typed
 from apcc_torch.estimation.external_force import BalanceNoise, ForceBalance, Posture
 from apcc_torch.estimation.held_shape import HeldShape
 from apcc_torch.experiments.dynamic import simulate
@@ -56,9 +53,7 @@ def case(section: int, size: float, how: str) -> str:
 
 def settings(*overrides: str) -> SimulateConfig:
     """The settings of a run of section V-B under noisy sensors."""
-    ConfigStore.instance().store(name="simulate_schema", node=SimulateConfig)
-    with initialize_config_dir(conf_path(), version_base="1.3"):
-        return typed(compose("simulate", ["progress=false", "sensors=mocap", *overrides]), SimulateConfig)
+    return run_settings("sensors=mocap", *overrides)
 
 
 class Seen(NamedTuple):

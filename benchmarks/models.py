@@ -12,16 +12,14 @@ import json
 from pathlib import Path
 
 import torch
-from hydra import compose, initialize_config_dir
-from hydra.core.config_store import ConfigStore
 from page import between
+from run_settings import run_settings
+from sections import SECTIONS, listed
 from timing import timed_steps
 from tqdm import tqdm
 
-from apcc_torch.conf_path import conf_path
 from apcc_torch.configs.build import Builder
 from apcc_torch.configs.schema import SimulateConfig
-from apcc_torch.configs.typed import typed
 from apcc_torch.control.controller import APCCController
 from apcc_torch.control.signals import Measurement, Target
 from apcc_torch.experiments.dynamic import curves, dynamic_metrics, simulate, thinned
@@ -38,8 +36,7 @@ MODELS: dict[str, tuple[str, ...]] = {
     "affine curvature": ("model=affine",),
 }  # fmt: skip
 SENSORS = 3
-SECTIONS = {2: (0.36, 0.24), 3: (0.105, 0.255, 0.24), 4: (0.105, 0.1275, 0.1275, 0.24)}
-POSES = ("experiment=dynamic_run_2_tuned", "experiment.payloads=[0.5]", "experiment.duration=6.0", "progress=false")
+POSES = ("experiment=dynamic_run_2_tuned", "experiment.payloads=[0.5]", "experiment.duration=6.0")
 CONTROLLERS = {
     "fixed": ("controller.adaptive=false",),
     "curve": (
@@ -58,28 +55,19 @@ LOST = 600.0  # mm, the arm's length: beyond it the estimate has run away
 START, END = "<!-- table: python benchmarks/models.py -->", "<!-- end of table -->"
 
 
-def _listed(lengths: tuple[float, ...], factor: float) -> str:
-    return "[" + ",".join(f"{factor * length:.4f}" for length in lengths) + "]"
-
-
 def settings(model: str, sections: int, controller: str) -> SimulateConfig:
     """One setting's configuration."""
     lengths = SECTIONS[sections]
-    ConfigStore.instance().store(name="simulate_schema", node=SimulateConfig)
-    asked = [
+    # A bank goes where its models are.
+    bank = controller == "bank"
+    return run_settings(
         *POSES,
         *CONTROLLERS[controller],
         *MODELS[model],
-        f"robot.rest_lengths={_listed(lengths, 1.0)}",
-    ]
-    # A bank goes where its models are.
-    bank = controller == "bank"
-    asked += [
-        f"adaptation.lower={'null' if bank else _listed(lengths, 0.75)}",
-        f"adaptation.upper={'null' if bank else _listed(lengths, 1.25)}",
-    ]
-    with initialize_config_dir(conf_path(), version_base="1.3"):
-        return typed(compose("simulate", asked), SimulateConfig)
+        f"robot.rest_lengths={listed(lengths)}",
+        f"adaptation.lower={'null' if bank else listed(lengths, 0.75)}",
+        f"adaptation.upper={'null' if bank else listed(lengths, 1.25)}",
+    )
 
 
 def _step_times(controller: APCCController, lengths: torch.Tensor, compiled: bool) -> dict[str, float]:

@@ -12,14 +12,10 @@ import json
 from pathlib import Path
 
 import torch
-from hydra import compose, initialize_config_dir
-from hydra.core.config_store import ConfigStore
+from run_settings import run_settings
 from tqdm import tqdm
 
-from apcc_torch.conf_path import conf_path
 from apcc_torch.configs.batch import stacked
-from apcc_torch.configs.schema import SimulateConfig
-from apcc_torch.configs.typed import typed
 from apcc_torch.experiments.dynamic import curves, dynamic_metrics, one_of, simulate, thinned
 from apcc_torch.files import write_json
 from apcc_torch.report.style import BLUE, ORANGE, VERMILION, dress, from_zero, legend, new_figure, save_figure
@@ -44,15 +40,9 @@ KEPT = ("shape_error_mean_mm", "shape_error_max_mm", "psi_mean_cm", "end_effecto
 Results = dict[str, dict[str, dict[str, dict[str, float]]]]
 
 
-def composed(*overrides: str) -> SimulateConfig:
-    """One run's settings."""
-    with initialize_config_dir(conf_path(), version_base="1.3"):
-        return typed(compose("simulate", ["progress=false", *overrides]), SimulateConfig)
-
-
 def measured(overrides: tuple[str, ...], compile: str) -> dict[str, dict[str, float]]:
     """{null-space gain: metrics} of one controller."""
-    configs = [composed(*overrides, f"controller.null_gain={gain}", f"compile={compile}") for gain in GAINS]
+    configs = [run_settings(*overrides, f"controller.null_gain={gain}", f"compile={compile}") for gain in GAINS]
     every = simulate(stacked(configs), points=len(configs))
     found = {}
     for p, (gain, config) in enumerate(zip(GAINS, configs, strict=True)):
@@ -89,7 +79,6 @@ def main() -> None:
     parser.add_argument("--draw", action="store_true", help="only draw, from the file of --out")
     options = parser.parse_args()
     torch.set_num_threads(1)
-    ConfigStore.instance().store(name="simulate_schema", node=SimulateConfig)
     results: Results = {}
     if options.draw:
         results = json.loads(Path(options.out).read_text(encoding="utf-8"))
