@@ -122,8 +122,9 @@ def test_bad_input_is_named() -> None:
         TendonRouting(one, one, one[:2])
     with pytest.raises(ValueRangeError, match="offsets"):
         TendonRouting(one, -one, one)
-    with pytest.raises(ValueRangeError, match="friction"):
-        TendonTransmission(rack_routing(RACKS), friction=-0.1)
+    for name, bad in {"friction": -0.1, "smoothing": float("nan"), "sliding_speed": 0.0}.items():
+        with pytest.raises(ValueRangeError, match=f"{name} must be"):
+            TendonTransmission(rack_routing(RACKS), **{name: bad})
 
 
 def test_slack() -> None:
