@@ -19,7 +19,8 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from apcc_torch.conf_path import conf_path
-from apcc_torch.configs.schema import BenchmarkConfig, PairConfig, SimulateConfig
+from apcc_torch.configs.benchmark import BenchmarkConfig, PairConfig
+from apcc_torch.configs.schema import SimulateConfig
 from apcc_torch.configs.typed import typed
 from apcc_torch.errors import ApccError, ConfigError
 from apcc_torch.experiments import paper

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from apcc_torch.control.adaptation import AdaptiveLaw
 from apcc_torch.control.inverse_kinematics import InverseKinematics
-from apcc_torch.control.pid import TendonPID, within
+from apcc_torch.control.pid import TendonPID
 from apcc_torch.errors import ValueRangeError
 from apcc_torch.estimation.savitzky_golay import SavitzkyGolay
 from apcc_torch.estimation.state_feedback import StateFeedback
@@ -180,12 +180,6 @@ def test_draws_are_shared_where_runs_stand_side_by_side() -> None:
     torch.testing.assert_close(seen[0], one)
     torch.testing.assert_close(seen[1] - T[1], 10.0 * (seen[0] - T[0]))
     assert torch.equal(mask[0], one_mask) and torch.equal(mask[1], one_mask)
-
-
-def test_within_holds_each_row_to_its_bound() -> None:
-    x = rows(-2.0, 0.5, 2.0).expand(2, 3)
-    assert within(x, rows(1.0, 0.1)).tolist() == [[-1.0, 0.5, 1.0], [-0.1, 0.1, 0.1]]
-    assert within(x, None) is x
 
 
 def test_a_window_a_row_is_refused_with_a_period() -> None:

@@ -9,7 +9,8 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
-from apcc_torch.configs.build import DTYPES, choice
+from apcc_torch.configs.build import DTYPES
+from apcc_torch.configs.choice import choice
 from apcc_torch.configs.schema import SimulateConfig
 
 ROWS: dict[str, frozenset[str]] = {

@@ -8,17 +8,16 @@ from math import pi
 import torch
 from torch import Tensor
 
+from apcc_torch.configs.choice import choice
 from apcc_torch.configs.kinematic_model import kinematic_model
+from apcc_torch.configs.residual_law import residual_law
 from apcc_torch.configs.schema import PlantConfig, RobotConfig, SimulateConfig
 from apcc_torch.control.adaptation import AdaptiveLaw
 from apcc_torch.control.controller import APCCController
 from apcc_torch.control.inverse_kinematics import InverseKinematics
-from apcc_torch.control.length_bank import LengthBank
 from apcc_torch.control.pid import TendonPID
-from apcc_torch.control.residual_adaptation import TARGETS, ResidualLaw
 from apcc_torch.errors import ConfigError
 from apcc_torch.estimation.savitzky_golay import SavitzkyGolay
-from apcc_torch.estimation.sensor_curve import SensorCurve
 from apcc_torch.estimation.state_feedback import StateFeedback
 from apcc_torch.model.backbone import HANGING
 from apcc_torch.model.dynamics import SoftArmDynamics
@@ -36,17 +35,6 @@ BASES = {"hanging": HANGING, "standing": ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0
 
 SUBSETS = {"all": slice(None), "training": slice(0, None, 2), "held_out": slice(1, None, 2)}
 """Set-points by their index: tuning may look at those with even index only."""
-
-
-def choice(key: str, value: str, options: Sequence[str]) -> str:
-    """`value` if it is one of `options`.
-
-    Raises:
-        ConfigError: "feedback.mode must be one of position, pose, got 'both'".
-    """
-    if value not in options:
-        raise ConfigError(f"{key} must be one of {', '.join(options)}, got {value!r}")
-    return value
 
 
 class Builder:
@@ -155,15 +143,15 @@ class Builder:
         backbone = self.backbone()
         n_b = self.n_sections
 
-        def bound(key: str, values: Sequence[float] | None) -> Tensor | None:
+        def given(key: str, values: Sequence[float] | None) -> Tensor | None:
             return None if values is None else self.vector(key, values, n_b)
 
         law = AdaptiveLaw(
             n_b,
             self.gain("controller.gamma", c.controller.gamma, n_b, c.adaptation.gain_scale),
             c.adaptation.regressor,
-            bound("adaptation.lower", c.adaptation.lower),
-            bound("adaptation.upper", c.adaptation.upper),
+            given("adaptation.lower", c.adaptation.lower),
+            given("adaptation.upper", c.adaptation.upper),
             c.adaptation.rate,
             c.adaptation.normalisation,
             c.adaptation.dead_zone,
@@ -194,6 +182,7 @@ class Builder:
             k.length_rate,
             backbone.coordinates,
         )
+        gains = given("residual.gains", c.residual.gains)
         return APCCController(
             backbone,
             feedback,
@@ -205,47 +194,7 @@ class Builder:
             velocity=c.velocity_filter.velocity,
             bend_bound=k.bend_bound,
             elongation_bound=k.elongation_bound,
-            residual_law=self.residual_law(feedback),
-        )
-
-    def residual_law(self, feedback: StateFeedback) -> ResidualLaw | LengthBank | None:
-        """The law of the sensors' residuals, around algorithm 2 as the controller has it; None without a target."""
-        r = self.config.residual
-        if r.target is None:
-            return None
-        curve = None
-        if choice("residual.target", r.target, (*TARGETS, "bank")) != "sensors":
-            tangents = r.tangents or ("spline" if self.config.feedback.mode == "position" else "measured")
-            curve = SensorCurve(self.base_rotation(), self.sensors_at(), tangents, r.samples)
-        if r.target == "bank":
-            assert curve is not None  # made above
-            return LengthBank(
-                self.first_estimate(),
-                feedback,
-                curve,
-                r.shares,
-                elongation_weight=r.elongation_weight,
-                nominal_weight=r.nominal_weight,
-                sharpness=r.sharpness,
-                resolution=r.resolution,
-                memory=r.memory,
-                time_constant=r.time_constant,
-                rate=r.rate,
-            )
-        return ResidualLaw(
-            self.first_estimate(),
-            r.target,
-            curve,
-            angular_weight=r.angular_weight,
-            time_constant=r.time_constant,
-            elongation_weight=r.elongation_weight,
-            nominal_weight=r.nominal_weight,
-            total_weight=r.total_weight,
-            damping=r.damping,
-            excitation=r.excitation,
-            memory=r.memory,
-            rate=r.rate,
-            gains=None if r.gains is None else self.vector("residual.gains", r.gains, self.n_sections),
+            residual_law=residual_law(c.residual, feedback, self.first_estimate(), gains),
         )
 
     def _reach(self, reach: Setting | None) -> Setting | None:

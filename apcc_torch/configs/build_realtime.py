@@ -7,8 +7,9 @@ import math
 import numpy as np
 import torch
 
-from apcc_torch.configs.build import Builder, choice
+from apcc_torch.configs.build import Builder
 from apcc_torch.configs.build_devices import Devices, real_devices
+from apcc_torch.configs.choice import choice
 from apcc_torch.configs.realtime import RealtimeConfig, model_settings
 from apcc_torch.errors import ConfigError
 from apcc_torch.hardware.clock import Clock, MonotonicClock, VirtualClock

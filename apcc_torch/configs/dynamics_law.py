@@ -5,7 +5,8 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from apcc_torch.configs.build import Builder, choice
+from apcc_torch.configs.build import Builder
+from apcc_torch.configs.choice import choice
 from apcc_torch.configs.schema import DynamicsLawConfig
 from apcc_torch.control.adaptive_dynamics import AdaptiveDynamics
 from apcc_torch.control.composite_controller import CompositeController

@@ -5,6 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
+from apcc_torch.control.bounds import scaled_within
 from apcc_torch.control.gain import gain_matrix
 from apcc_torch.errors import ValueRangeError
 from apcc_torch.settings import Setting, aligned, check_setting, hold, hold_rows, is_used
@@ -109,9 +110,7 @@ class AdaptiveLaw(nn.Module):
             velocity = velocity / (1.0 + aligned(self.normalisation, 1) * Y.square().sum((-1, -2)).unsqueeze(-1))
         if self._has_dead_zone:
             velocity = torch.where(e.norm(dim=-1, keepdim=True) > aligned(self.dead_zone, 1), velocity, 0.0)
-        if self.rate is not None:
-            velocity = velocity / (velocity.abs().amax(-1, keepdim=True) / aligned(self.rate, 1)).clamp(min=1.0)
-        return velocity
+        return scaled_within(velocity, self.rate)
 
     def forward(self, pi_hat: Tensor, Y: Tensor, e: Tensor, dt: Tensor, other: Tensor | None = None) -> Tensor:
         """One step of the law, projected onto the bounds; (..., n_b) m.

@@ -29,7 +29,7 @@ from torch import Tensor, nn
 from apcc_torch.errors import ValueRangeError
 from apcc_torch.linalg import solve_spd
 from apcc_torch.model.dynamics_regressor import PARAMETERS
-from apcc_torch.settings import hold_rows
+from apcc_torch.settings import check_setting, hold_rows
 from apcc_torch.shapes import check_finite, check_same, check_tensor
 
 
@@ -107,11 +107,9 @@ class AdaptiveDynamics(nn.Module):
         if not bool((lower >= 0).all()):
             raise ValueRangeError("lower must not be negative: no parameter of the dynamics is")
         for name, value in {"filter_time": filter_time, "torque_noise": torque_noise, "length": length}.items():
-            if not 0 < value < float("inf"):
-                raise ValueRangeError(f"{name} must be positive and finite, got {value}")
+            check_setting(name, value)
         for name, value in {"tracking_gain": tracking_gain, "dead_zone": dead_zone}.items():
-            if not 0 <= value < float("inf"):
-                raise ValueRangeError(f"{name} must be zero or positive and finite, got {value}")
+            check_setting(name, value, zero=True)
         if not memory > 0:
             raise ValueRangeError(f"memory must be positive, got {memory}")
         hold_rows(self, nominal=(nominal.clone(), 1), deviation=(deviation.clone(), 1))

@@ -12,15 +12,16 @@ import torch
 from torch import Tensor, nn
 
 from apcc_torch.control.adaptive_dynamics import AdaptiveDynamics, DynamicsEstimate
+from apcc_torch.control.bounds import within
 from apcc_torch.control.controller import APCCController
-from apcc_torch.control.pid import within
 from apcc_torch.control.signals import Command, ControllerState, Measurement, Target
-from apcc_torch.errors import ConfigError, ValueRangeError
+from apcc_torch.errors import ConfigError
 from apcc_torch.estimation.state_feedback import StateFeedback
 from apcc_torch.linalg import damped_pseudo_inverse
 from apcc_torch.model.dynamics_regressor import DynamicsRegressor
 from apcc_torch.model.kinematic_model import KinematicModel
 from apcc_torch.model.tendons import TendonRouting
+from apcc_torch.settings import check_setting
 from apcc_torch.shapes import check_tensor
 
 
@@ -99,11 +100,9 @@ class CompositeController(nn.Module):
         if force_limit is not None:
             settings["force_limit"] = force_limit
         for name, value in settings.items():
-            if not 0 < value < float("inf"):
-                raise ValueRangeError(f"{name} must be positive and finite, got {value}")
+            check_setting(name, value)
         for name, value in {"stiffness": stiffness, "damping": damping}.items():
-            if not 0 <= value < float("inf"):
-                raise ValueRangeError(f"{name} must be zero or positive and finite, got {value}")
+            check_setting(name, value, zero=True)
         self.kinematic = kinematic
         self.dynamics = regressor
         self.law = law

@@ -6,9 +6,9 @@ import torch
 from torch import Tensor, nn
 
 from apcc_torch.control.adaptation import AdaptiveLaw
+from apcc_torch.control.bounds import within
 from apcc_torch.control.inverse_kinematics import InverseKinematics
 from apcc_torch.control.length_bank import BankEvidence, LengthBank
-from apcc_torch.control.pid import within
 from apcc_torch.control.residual_adaptation import Evidence, ResidualLaw
 from apcc_torch.control.signals import Command, ControllerState, Measurement, Target
 from apcc_torch.errors import ValueRangeError
@@ -84,8 +84,6 @@ class APCCController(nn.Module):
         for name, bound in bounds.items():
             if bound is not None:
                 check_setting(name, bound)
-        if not 0 <= reference_damping < float("inf"):
-            raise ValueRangeError(f"reference_damping must be zero or positive and finite, got {reference_damping}")
         self.backbone = backbone
         self.feedback = feedback
         self.velocity_filter = velocity_filter
@@ -96,7 +94,7 @@ class APCCController(nn.Module):
         self.adaptive = adaptive
         self.velocity = velocity
         hold(self, bend_bound=bend_bound, elongation_bound=elongation_bound)
-        self.reference_damping = reference_damping
+        self.reference_damping = check_setting("reference_damping", reference_damping, zero=True)
         self.integration_limit = integration_limit
 
     def initial_state(self, q: Tensor, pi_hat: Tensor, time: Tensor | None = None) -> ControllerState:

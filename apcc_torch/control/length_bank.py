@@ -15,12 +15,13 @@ from typing import NamedTuple
 import torch
 from torch import Tensor, nn
 
+from apcc_torch.control.bounds import scaled_within
 from apcc_torch.errors import ConfigError, ValueRangeError
 from apcc_torch.estimation.sensor_curve import SensorCurve
 from apcc_torch.estimation.state_feedback import StateFeedback
 from apcc_torch.model.abscissae import located
 from apcc_torch.model.kinematic_model import KinematicModel
-from apcc_torch.settings import hold_rows
+from apcc_torch.settings import check_setting, hold_rows
 from apcc_torch.shapes import check_finite, check_tensor
 
 UNSEEN = 1.0
@@ -79,17 +80,16 @@ class LengthBank(nn.Module):
         shares: Sequence[float] = (0.4, 0.55, 0.7, 0.85, 1.0, 1.15),
         elongation_weight: float = 0.02,
         nominal_weight: float = 0.002,
-        sharpness: float = 0.1,
+        sharpness: float = 0.3,
         resolution: float = 3e-5,
-        memory: float = 0.0,
-        time_constant: float = 0.3,
-        rate: float = 0.1,
+        memory: float = 2.0,
+        time_constant: float = 1.0,
+        rate: float = 0.3,
     ) -> None:
         super().__init__()
         positive = {"time_constant": time_constant, "rate": rate, "resolution": resolution}
         for name, value in positive.items():
-            if not 0 < value < float("inf"):
-                raise ValueRangeError(f"{name} must be positive and finite, got {value}")
+            check_setting(name, value)
         weights = {
             "elongation_weight": elongation_weight,
             "nominal_weight": nominal_weight,
@@ -97,8 +97,7 @@ class LengthBank(nn.Module):
             "memory": memory,
         }
         for name, value in weights.items():
-            if not 0 <= value < float("inf"):
-                raise ValueRangeError(f"{name} must be zero or positive and finite, got {value}")
+            check_setting(name, value, zero=True)
         if len(shares) == 0 or not all(0 < share < float("inf") for share in shares):
             raise ValueRangeError(f"shares must be positive and finite, at least one, got {list(shares)}")
         check_finite("nominal", check_tensor("nominal", nominal, (None,)))
@@ -169,8 +168,7 @@ class LengthBank(nn.Module):
         low = later.cost.amin(-1, keepdim=True)
         weight = torch.exp((low - later.cost) / (self.sharpness * low + self.resolution**2)).unsqueeze(-1)
         best = (weight * models).sum(-2) / weight.sum(-2)
-        velocity = (best - pi) / self.time_constant
-        velocity = velocity / (velocity.abs().amax(-1, keepdim=True) / self.rate).clamp(min=1.0)
+        velocity = scaled_within((best - pi) / self.time_constant, self.rate)
         return torch.where(good.unsqueeze(-1), velocity, 0.0), later
 
     def cost(self, backbone: KinematicModel, q: Tensor, pi: Tensor, T: Tensor) -> Tensor:

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor, nn
 
+from apcc_torch.control.bounds import within
 from apcc_torch.settings import Setting, aligned, check_setting, hold
 from apcc_torch.shapes import check_same, check_tensor
 
@@ -74,16 +75,6 @@ class TendonPID(nn.Module):
         """The integral after dt seconds, (..., n_a) m s."""
         z = z + dt * (y_d - y)
         return within(z, self.integral_limit)
-
-
-def within(x: Tensor, bound: Setting | None) -> Tensor:
-    """x (..., n) held to magnitudes of at most `bound`, a number or (...); None for no bound."""
-    if bound is None:
-        return x
-    if isinstance(bound, Tensor):
-        limit = aligned(bound, 1)
-        return torch.minimum(torch.maximum(x, -limit), limit)
-    return x.clamp(-bound, bound)
 
 
 class TendonReference(NamedTuple):

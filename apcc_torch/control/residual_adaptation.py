@@ -20,13 +20,14 @@ from typing import NamedTuple
 import torch
 from torch import Tensor, nn
 
+from apcc_torch.control.bounds import scaled_within
 from apcc_torch.errors import ConfigError, ValueRangeError
 from apcc_torch.estimation.sensor_curve import SensorCurve
 from apcc_torch.lie import se3
 from apcc_torch.linalg import solve_spd
 from apcc_torch.model.abscissae import located
 from apcc_torch.model.kinematic_model import KinematicModel
-from apcc_torch.settings import hold_rows
+from apcc_torch.settings import check_setting, hold_rows
 from apcc_torch.shapes import check_finite, check_tensor
 
 TARGETS = ("curve", "sensors")
@@ -107,8 +108,7 @@ class ResidualLaw(nn.Module):
         if target == "curve" and curve is None:
             raise ConfigError("target curve needs a curve")
         for name, value in {"time_constant": time_constant, "damping": damping, "rate": rate}.items():
-            if not 0 < value < float("inf"):
-                raise ValueRangeError(f"{name} must be positive and finite, got {value}")
+            check_setting(name, value)
         weights = {
             "angular_weight": angular_weight,
             "elongation_weight": elongation_weight,
@@ -118,8 +118,7 @@ class ResidualLaw(nn.Module):
             "memory": memory,
         }
         for name, value in weights.items():
-            if not 0 <= value < float("inf"):
-                raise ValueRangeError(f"{name} must be zero or positive and finite, got {value}")
+            check_setting(name, value, zero=True)
         check_finite("nominal", check_tensor("nominal", nominal, (None,)))
         gains = torch.ones_like(nominal) if gains is None else check_tensor("gains", gains, (nominal.shape[-1],))
         if not bool((check_finite("gains", gains) >= 0).all()):
@@ -211,8 +210,7 @@ class ResidualLaw(nn.Module):
             followed_ones = directions * (values > self.excitation**2).to(H.dtype).unsqueeze(-2)
             g = (followed_ones @ (directions.mT @ g.unsqueeze(-1))).squeeze(-1)
         step = self._step(backbone, H, g, q, pi, followed)
-        velocity = self.gains.to(pi) * step / self.time_constant
-        velocity = velocity / (velocity.abs().amax(-1, keepdim=True) / self.rate).clamp(min=1.0)
+        velocity = scaled_within(self.gains.to(pi) * step / self.time_constant, self.rate)
         velocity = torch.where(good.unsqueeze(-1), velocity, 0.0)
         if evidence is None:
             return velocity, None

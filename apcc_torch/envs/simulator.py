@@ -24,8 +24,9 @@ from apcc_torch.envs.rows import select
 from apcc_torch.envs.sensing import Readings, Sensing
 from apcc_torch.envs.streams import Stream
 from apcc_torch.envs.tasks import DISTANCE, POSITION, SPEED, TASKS, Goal, Task
-from apcc_torch.errors import ConfigError, ValueRangeError
+from apcc_torch.errors import ConfigError
 from apcc_torch.model.backbone import PCCBackbone
+from apcc_torch.settings import check_setting
 
 DYNAMICS = ("kinematic", "dynamic")
 TENDON = 0.5
@@ -127,8 +128,8 @@ class Setup:
             raise ConfigError("model must be PCCBackbone where the arm is kinematic: it follows q_d itself")
         for name in ("control_rate", "substeps", "max_episode_steps"):
             value = getattr(self, name)
-            if value is not None and not 0 < value < float("inf"):
-                raise ValueRangeError(f"{name} must be positive and finite, got {value}")
+            if value is not None:
+                check_setting(name, value)
 
 
 class Simulator(nn.Module):

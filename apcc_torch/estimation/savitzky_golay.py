@@ -13,6 +13,7 @@ import torch
 from torch import Tensor, nn
 
 from apcc_torch.errors import ShapeError, ValueRangeError
+from apcc_torch.settings import check_setting
 from apcc_torch.shapes import batch_shape, check_same, check_tensor
 
 
@@ -160,8 +161,8 @@ class SavitzkyGolay(nn.Module):
             raise ValueRangeError(f"window must be at least order + 1 = {order + 1}, got {shortest}")
         if period is not None and isinstance(window, Tensor):
             raise ValueRangeError("a window for each row needs the samples' own stamps: period must be None")
-        if period is not None and not (math.isfinite(period) and period > 0):
-            raise ValueRangeError(f"period must be positive, got {period:g}")
+        if period is not None:
+            check_setting("period", period)
         self.window, self.order, self.derivative, self.period = longest, order, derivative, period
         # A row's shorter window is the newest part of the longest one.
         age = torch.arange(longest - 1, -1, -1)

@@ -10,7 +10,7 @@ from pathlib import Path
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from apcc_torch.configs.build import choice
+from apcc_torch.configs.choice import choice
 from apcc_torch.configs.realtime import RealtimeConfig
 from apcc_torch.configs.typed import typed
 from apcc_torch.errors import ConfigError

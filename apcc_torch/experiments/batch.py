@@ -21,7 +21,8 @@ from typing import Any
 import torch
 
 from apcc_torch.configs.batch import Point, structure
-from apcc_torch.configs.build import Builder, choice
+from apcc_torch.configs.build import Builder
+from apcc_torch.configs.choice import choice
 from apcc_torch.configs.schema import SimulateConfig
 from apcc_torch.errors import ConfigError
 from apcc_torch.experiments.batch_chunk import KINDS, Part, Task, chosen, compute, draw, is_finite, rank, read_part

@@ -10,7 +10,8 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from apcc_torch.configs.build import Builder, choice
+from apcc_torch.configs.build import Builder
+from apcc_torch.configs.choice import choice
 from apcc_torch.configs.schema import SimulateConfig
 from apcc_torch.control.controller import APCCController
 from apcc_torch.control.inverse_kinematics import elongation_cost

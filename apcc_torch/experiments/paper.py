@@ -12,7 +12,8 @@ from typing import NamedTuple
 
 import torch
 
-from apcc_torch.configs.schema import BenchmarkConfig, GridConfig, SimulateConfig
+from apcc_torch.configs.benchmark import BenchmarkConfig, GridConfig
+from apcc_torch.configs.schema import SimulateConfig
 from apcc_torch.errors import ConfigError
 from apcc_torch.experiments.folder import progress_bar, versions
 from apcc_torch.experiments.paper_figures import save_paper_figures

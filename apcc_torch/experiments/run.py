@@ -12,7 +12,7 @@ from pathlib import Path
 import torch
 from omegaconf import DictConfig, OmegaConf
 
-from apcc_torch.configs.build import choice
+from apcc_torch.configs.choice import choice
 from apcc_torch.configs.schema import SimulateConfig
 from apcc_torch.configs.typed import typed
 from apcc_torch.errors import ConfigError

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from math import inf
 
 import numpy as np
 import torch
@@ -15,6 +14,7 @@ from apcc_torch.errors import ValueRangeError
 from apcc_torch.hardware.control import Control, Decision, Step
 from apcc_torch.hardware.interfaces import Array
 from apcc_torch.hardware.sensing import Seen
+from apcc_torch.settings import check_setting
 from apcc_torch.simulation.trajectory import SetPoint
 
 
@@ -33,8 +33,7 @@ class Ramp:
         """Checks the numbers."""
         if not np.isfinite(self.goal).all():
             raise ValueRangeError(f"ramp.goal must be finite, got {self.goal.tolist()}")
-        if not 0 < self.duration < inf:
-            raise ValueRangeError(f"ramp.duration must be positive and finite, got {self.duration}")
+        check_setting("ramp.duration", self.duration)
 
     def at(self, time: float) -> Array:
         """(n_a,) m at `time`, s."""

@@ -13,6 +13,7 @@ from apcc_torch.errors import ValueRangeError
 from apcc_torch.hardware.interfaces import Array, PoseSample
 from apcc_torch.hardware.mounts import Mounts
 from apcc_torch.hardware.stops import Stop, StopReason
+from apcc_torch.settings import check_setting
 from apcc_torch.simulation.gating import SensorGate
 
 PARTIAL = ("skip", "mask")
@@ -44,8 +45,7 @@ class SensingLimits:
     def __post_init__(self) -> None:
         """Checks the limits."""
         for name in ("max_age", "stale", "dropout"):
-            if not 0 < getattr(self, name) < float("inf"):
-                raise ValueRangeError(f"sensing.{name} must be positive and finite, got {getattr(self, name)}")
+            check_setting(f"sensing.{name}", getattr(self, name))
         if self.frozen_frames is not None and self.frozen_frames < 2:
             raise ValueRangeError(f"sensing.frozen_frames must be at least 2, got {self.frozen_frames}")
         if self.partial not in PARTIAL:

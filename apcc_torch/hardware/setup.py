@@ -14,6 +14,7 @@ from apcc_torch.hardware.limits import CommandLimits
 from apcc_torch.hardware.records import Observer
 from apcc_torch.hardware.sensing import Sensing
 from apcc_torch.hardware.stop_request import StopRequest
+from apcc_torch.settings import check_setting
 
 RATES = (20.0, 500.0)
 """Slowest and fastest loop, Hz."""
@@ -46,8 +47,7 @@ class LoopSettings:
             if getattr(self, name) < 1:
                 raise ValueRangeError(f"loop.{name} must be at least 1, got {getattr(self, name)}")
         for name in ("fresh_timeout", "arm_margin", "hold"):
-            if not 0 <= getattr(self, name) < float("inf"):
-                raise ValueRangeError(f"loop.{name} must be zero or positive and finite, got {getattr(self, name)}")
+            check_setting(f"loop.{name}", getattr(self, name), zero=True)
 
     @property
     def period(self) -> float:

@@ -20,6 +20,7 @@ from apcc_torch.model.inertia import arm_shape, bending, moments, own_momentum, 
 from apcc_torch.model.loads import front
 from apcc_torch.model.motion import accelerations, generalized_force, rates
 from apcc_torch.model.tendons import TendonRouting
+from apcc_torch.settings import check_setting
 from apcc_torch.shapes import batch_shape, check_finite, check_same, check_tensor
 
 PARAMETERS = ("bending_rigidity", "axial_rigidity", "tendon_damping", "payload", "mass")
@@ -62,14 +63,12 @@ class DynamicsRegressor(nn.Module):
         check_finite("base_rotation", check_tensor("base_rotation", base_rotation, (3, 3)))
         if n_quadrature < 2:
             raise ValueRangeError(f"n_quadrature must be at least 2, got {n_quadrature}")
-        if not 0 <= damping_ratio < float("inf"):
-            raise ValueRangeError(f"damping_ratio must be zero or positive and finite, got {damping_ratio}")
         if not abs(gravity) < float("inf"):
             raise ValueRangeError(f"gravity must be finite, got {gravity}")
         points, weights = quadrature_nodes(n_quadrature, torch.float64)
         powers = torch.stack([points**k for k in range(1, 7)])
         self.routing = routing
-        self.damping_ratio = damping_ratio
+        self.damping_ratio = check_setting("damping_ratio", damping_ratio, zero=True)
         self.gravity = gravity
         self.register_buffer("base_rotation", base_rotation.clone())
         self.register_buffer("powers", powers.to(base_rotation))

@@ -5,8 +5,8 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
-from apcc_torch.errors import ValueRangeError
 from apcc_torch.model.tendons import TendonRouting
+from apcc_torch.settings import check_setting
 from apcc_torch.shapes import check_same, check_tensor
 
 
@@ -36,7 +36,7 @@ class TendonTransmission(nn.Module):
         sliding_speed: Tendon speed at which friction is developed (tanh), m/s.
 
     Raises:
-        ValueRangeError: A number is negative, or `sliding_speed` is not positive.
+        ValueRangeError: A number is negative or not finite, or `sliding_speed` is zero.
     """
 
     def __init__(
@@ -48,15 +48,11 @@ class TendonTransmission(nn.Module):
         sliding_speed: float = 1e-3,
     ) -> None:
         super().__init__()
-        if friction < 0.0 or smoothing < 0.0:
-            raise ValueRangeError(f"friction and smoothing must not be negative, got {friction:g} and {smoothing:g}")
-        if sliding_speed <= 0.0:
-            raise ValueRangeError(f"sliding_speed must be positive, got {sliding_speed:g}")
         self.routing = routing
-        self.friction = friction
+        self.friction = check_setting("friction", friction, zero=True)
         self.slack = slack
-        self.smoothing = smoothing
-        self.sliding_speed = sliding_speed
+        self.smoothing = check_setting("smoothing", smoothing, zero=True)
+        self.sliding_speed = check_setting("sliding_speed", sliding_speed)
 
     def forward(self, u: Tensor, q: Tensor, qdot: Tensor, lengths: Tensor) -> Tensor:
         """Generalized force tau (..., 3 n_b), N m, N m, N per section.

@@ -16,11 +16,11 @@ from apcc_torch.control.composite_controller import CompositeController, Composi
 from apcc_torch.control.controller import APCCController
 from apcc_torch.control.pid import TendonReference, ramp
 from apcc_torch.control.signals import ControllerState, Measurement
-from apcc_torch.errors import ConfigError, ValueRangeError
+from apcc_torch.errors import ConfigError
 from apcc_torch.model.abscissae import decouple
 from apcc_torch.model.integrators import ArmState
 from apcc_torch.native.compiled import compiled
-from apcc_torch.settings import hold_rows
+from apcc_torch.settings import check_setting, hold_rows
 from apcc_torch.simulation.plant import Plant, PlantState
 from apcc_torch.simulation.progress import Progress, quiet
 from apcc_torch.simulation.rollout import rollout
@@ -48,12 +48,10 @@ class DynamicSettings:
     checkpointed: bool = False
 
     def __post_init__(self) -> None:
-        """Raises ValueRangeError where a time or rate is not positive."""
+        """Raises ValueRangeError where a time or rate is not positive and finite, or `settle` is negative."""
         for name in ("duration", "control_rate", "substeps"):
-            if not 0 < getattr(self, name) < float("inf"):
-                raise ValueRangeError(f"{name} must be positive and finite, got {getattr(self, name)}")
-        if not 0 <= self.settle < float("inf"):
-            raise ValueRangeError(f"settle must be zero or positive, got {self.settle}")
+            check_setting(name, getattr(self, name))
+        check_setting("settle", self.settle, zero=True)
 
 
 class DynamicLog(NamedTuple):

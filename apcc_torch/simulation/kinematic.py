@@ -7,6 +7,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor, nn
 
+from apcc_torch.control.bounds import scaled_within
 from apcc_torch.control.controller import APCCController
 from apcc_torch.control.signals import ControllerState, Measurement
 from apcc_torch.errors import ValueRangeError
@@ -63,7 +64,7 @@ def start_configuration(
     for _ in range(iterations):
         tip, J = backbone.tip_and_jacobian(q, L0)
         step = (damped_pseudo_inverse(J, 1e-4) @ (x - tip).unsqueeze(-1)).squeeze(-1)
-        q = q + step / (step.abs().amax(-1, keepdim=True) / 0.3).clamp(min=1.0)
+        q = q + scaled_within(step, 0.3)
     miss = (backbone.tip(q, L0) - x).norm(dim=-1)
     tolerance = max(1e-6, 100 * torch.finfo(L0.dtype).eps)
     if not bool((miss < tolerance).all()):

@@ -8,7 +8,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from apcc_torch.configs.build import Builder, choice
+from apcc_torch.configs.build import Builder
 from apcc_torch.errors import ApccError, ConfigError
 from composed import changed, composed
 
@@ -175,9 +175,3 @@ def test_a_missing_gpu_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
     with pytest.raises(ConfigError, match="device"):
         builder("device=cuda")
-
-
-def test_choice_lists_the_options() -> None:
-    assert choice("state", "exact", ("exact", "feedback")) == "exact"
-    with pytest.raises(ConfigError, match="state must be one of exact, feedback, got 'both'"):
-        choice("state", "both", ("exact", "feedback"))

@@ -34,12 +34,13 @@ SENSORS = torch.tensor([0.105, 0.36, 0.6], dtype=D)
 CURVE = SensorCurve(HANGING_BASE, SENSORS, samples=4)
 FEEDBACK = StateFeedback(BACKBONE, SENSORS, "pose", angular_weight=0.05, max_iterations=30)
 SHARES = (0.5, 0.75, 1.0)
+QUICK: dict[str, object] = {"sharpness": 0.1, "memory": 0.0, "time_constant": 0.3, "rate": 0.1}
 BENT = torch.tensor([0.5, -0.2, 0.0, -0.7, 0.4, 0.0, 0.6, 0.5, 0.0], dtype=D)
 DT = torch.tensor(0.02, dtype=D)
 
 
 def bank(**settings: object) -> LengthBank:
-    return LengthBank(PI, FEEDBACK, CURVE, SHARES, **settings)  # type: ignore[arg-type]
+    return LengthBank(PI, FEEDBACK, CURVE, SHARES, **QUICK | settings)  # type: ignore[arg-type]
 
 
 def measured(q: Tensor, pi: Tensor = PI) -> Tensor:
@@ -135,7 +136,7 @@ def test_where_the_gradient_goes_astray_the_bank_does_not() -> None:
         q = FEEDBACK(q, pi, T).q_bar
         velocity, _ = gradient(BACKBONE, q, pi, FEEDBACK.sensitivity(q, pi), T, SENSORS, DT, torch.tensor(True))
         pi = (pi + DT * velocity).clamp(min=0.03)
-    made = LengthBank(PI, FEEDBACK, CURVE, **weights)  # type: ignore[arg-type]
+    made = LengthBank(PI, FEEDBACK, CURVE, sharpness=0.1, memory=0.0, **weights)  # type: ignore[arg-type]
     found, _ = visits(made, T, 100)
     nominal, astray, best = (
         made.cost(BACKBONE, FEEDBACK(torch.zeros(9, dtype=D), p, T).q_bar, p, T).sqrt() for p in (PI, pi, found)

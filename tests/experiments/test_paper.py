@@ -14,8 +14,9 @@ from hypothesis import strategies as st
 
 from apcc_torch.benchmark import compose_pairs, experiment
 from apcc_torch.conf_path import conf_path
+from apcc_torch.configs.benchmark import BenchmarkConfig, GridConfig
 from apcc_torch.configs.build import Builder
-from apcc_torch.configs.schema import BenchmarkConfig, GridConfig, SimulateConfig
+from apcc_torch.configs.schema import SimulateConfig
 from apcc_torch.configs.typed import typed
 from apcc_torch.errors import ConfigError
 from apcc_torch.experiments.dynamic import simulate

@@ -14,6 +14,7 @@ from apcc_torch.hardware.simulated.board import Board, Mode
 from apcc_torch.model.abscissae import decouple
 from apcc_torch.model.tendons import TendonRouting
 from apcc_torch.native.compiled import Step, compiled
+from apcc_torch.settings import check_setting
 from apcc_torch.simulation.plant import Plant, PlantState, PlantStep
 from apcc_torch.simulation.sensors import PoseSensors, SensorState
 
@@ -43,11 +44,9 @@ class SimulatedSettings:
     def __post_init__(self) -> None:
         """Checks the numbers."""
         for name in ("step", "frame_rate", "motor_speed", "resolution"):
-            if not 0 < getattr(self, name) < float("inf"):
-                raise ValueRangeError(f"simulated.{name} must be positive and finite, got {getattr(self, name)}")
+            check_setting(f"simulated.{name}", getattr(self, name))
         for name in ("frame_latency", "settle"):
-            if not 0 <= getattr(self, name) < float("inf"):
-                raise ValueRangeError(f"simulated.{name} must be zero or positive, got {getattr(self, name)}")
+            check_setting(f"simulated.{name}", getattr(self, name), zero=True)
 
 
 class SimulatedArm:
