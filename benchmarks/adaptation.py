@@ -21,7 +21,8 @@ from apcc_torch.experiments.dynamic import curves, dynamic_metrics, simulate, th
 from apcc_torch.files import write_json
 from apcc_torch.report.style import SERIES, dress, new_figure, save_figure
 
-BASE = ("experiment=dynamic_run_2_tuned", "experiment.subset=training", "experiment.duration=6.0")
+BASE = ("experiment=dynamic_run_2_tuned", "experiment.subset=training", "experiment.duration=6.0",
+        "controller.null_gain=0.3", "controller.epsilon=0.005")  # fmt: skip
 TASK = ("residual.target=null", "adaptation.rate=0.1", "adaptation.dead_zone=0.002")
 LAWS: dict[str, tuple[str, ...]] = {
     "fixed": ("controller.adaptive=false",),

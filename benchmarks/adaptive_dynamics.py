@@ -38,7 +38,8 @@ from apcc_torch.model.dynamics_regressor import PARAMETERS
 from apcc_torch.report.dynamic import settling_times
 from apcc_torch.report.style import SERIES, Array, dress, legend, log_scale, new_figure, save_figure, values
 
-BASE = ("experiment=dynamic_run_2_tuned", "controller.null_gain=0.2", "controller.adaptive=false", "compile=aot")
+BASE = ("experiment=dynamic_run_2_tuned", "controller.null_gain=0.2", "controller.epsilon=0.005",
+        "controller.adaptive=false", "compile=aot")  # fmt: skip
 PAYLOADS = (0.0, 0.25, 0.5)
 CONTROLLERS: dict[str, tuple[str, ...]] = {
     "plain": (),

@@ -36,7 +36,13 @@ MODELS: dict[str, tuple[str, ...]] = {
     "affine curvature": ("model=affine",),
 }  # fmt: skip
 SENSORS = 3
-POSES = ("experiment=dynamic_run_2_tuned", "experiment.payloads=[0.5]", "experiment.duration=6.0")
+POSES = (
+    "experiment=dynamic_run_2_tuned",
+    "experiment.payloads=[0.5]",
+    "experiment.duration=6.0",
+    "controller.null_gain=0.3",
+    "controller.epsilon=0.005",
+)
 CONTROLLERS = {
     "fixed": ("controller.adaptive=false",),
     "curve": (

@@ -1,8 +1,9 @@
 """Shape against elongation in the closed loop: `python benchmarks/trade_off.py` draws docs/images/trade_off_closed.png.
 
 Section V-B's run II and Appendix A, all thirty runs of 10 s each, for one null-space gain after another: the gain says
-how hard the arm is kept from stretching, and every controller may have it. The fixed model, the gradient law and the
-bank of models, each with the estimator that suits it; all gains of one controller are rows of one batch. A few minutes.
+how hard the arm is kept from stretching, and every controller may have it. The fixed model, the gradient law, the bank
+of models, and the bank whose total length follows, each with the estimator that suits it; all gains of one controller
+are rows of one batch. A few minutes.
 """
 
 from __future__ import annotations
@@ -18,21 +19,20 @@ from tqdm import tqdm
 from apcc_torch.configs.batch import stacked
 from apcc_torch.experiments.dynamic import curves, dynamic_metrics, one_of, simulate, thinned
 from apcc_torch.files import write_json
-from apcc_torch.report.style import BLUE, ORANGE, VERMILION, dress, from_zero, legend, new_figure, save_figure
+from apcc_torch.report.style import BLUE, GREEN, ORANGE, VERMILION, dress, from_zero, legend, new_figure, save_figure
 
-GAINS = (0.1, 0.15, 0.2, 0.3, 0.5, 1.0)
+GAINS = (0.5, 1.0, 2.0, 4.0, 8.0)
 ARMS = {"arm 1": "dynamic_run_2", "arm 2": "robot_2"}
+BANK = ("residual=bank", "residual.elongation_weight=0.02", "residual.nominal_weight=0.002",
+        "adaptation.lower=null", "adaptation.upper=null")  # fmt: skip
 CONTROLLERS = {
     "fixed": (("controller.adaptive=false",), VERMILION),
     "curve": (
         ("residual.time_constant=0.3", "residual.elongation_weight=0.05", "residual.nominal_weight=0.02"),
         ORANGE,
     ),
-    "bank": (
-        ("residual=bank", "residual.elongation_weight=0.02", "residual.nominal_weight=0.002",
-         "adaptation.lower=null", "adaptation.upper=null"),
-        BLUE,
-    ),
+    "bank": ((*BANK, "residual.stretch=0.0"), GREEN),
+    "bank, total follows": ((*BANK, "residual.stretch=1.0", "controller.elongation_bound=0.2"), BLUE),
 }  # fmt: skip
 """Controller -> its settings and its colour."""
 KEPT = ("shape_error_mean_mm", "shape_error_max_mm", "psi_mean_cm", "end_effector_error_end_mm", "diverged_rows")
@@ -88,11 +88,11 @@ def main() -> None:
             found = measured((f"experiment={ARMS[arm]}_tuned", *CONTROLLERS[controller][0]), options.compile)
             results.setdefault(arm, {})[controller] = found
             write_json(options.out, results)
-    print(f"{'arm':<8}{'controller':<12}{'null gain':>10}" + "".join(f"{name:>28}" for name in KEPT))
+    print(f"{'arm':<8}{'controller':<22}{'null gain':>10}" + "".join(f"{name:>28}" for name in KEPT))
     for arm, controllers in results.items():
         for controller, by_gain in controllers.items():
             for gain, r in by_gain.items():
-                print(f"{arm:<8}{controller:<12}{gain:>10}" + "".join(f"{r[name]:>28.3f}" for name in KEPT))
+                print(f"{arm:<8}{controller:<22}{gain:>10}" + "".join(f"{r[name]:>28.3f}" for name in KEPT))
     draw(results, Path(options.figure))
 
 

@@ -42,6 +42,8 @@ def residual_law(
             memory=r.memory,
             time_constant=r.time_constant,
             rate=r.rate,
+            stretch=r.stretch,
+            total_range=r.total_range,
         )
     return ResidualLaw(
         nominal,

@@ -137,9 +137,11 @@ class ResidualConfig:
     memory: float = 0.0
     rate: float = 0.1
     gains: list[float] | None = None
-    shares: list[float] = field(default_factory=lambda: [0.4, 0.55, 0.7, 0.85, 1.0, 1.15])
+    shares: list[Any] = field(default_factory=lambda: [0.4, 0.55, 0.7, 0.85, 1.0, 1.15])
     sharpness: float = 0.1
     resolution: float = 3e-5
+    stretch: float = 0.0
+    total_range: float = 0.1
 
 
 @dataclass

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor, nn
@@ -26,6 +26,10 @@ from apcc_torch.shapes import check_finite, check_tensor
 
 UNSEEN = 1.0
 """V of a model before its first visit, m^2: more than any arm can leave, and finite, so that gradients are."""
+
+
+Shares = Sequence[float] | Sequence[Sequence[float]]
+"""What sections are tried with: one list for all but the last, or one for each of them."""
 
 
 class BankEvidence(NamedTuple):
@@ -47,14 +51,25 @@ class LengthBank(nn.Module):
         V_m = |r_m|^2 / N + mu^2 |dL_m|^2 + kappa^2 |pi_m - pi_0|^2.
 
     r_m are the N distances, across the backbone, between model m and the `SensorCurve`; dL_m its elongations. The last
-    section takes what the others leave of the nominal total length. One model is visited a step, in turn: a step costs
-    one more run of algorithm 2, whatever the size of the bank.
+    section takes what the others leave of the total length. One model is visited a step, in turn: a step costs one more
+    run of algorithm 2, whatever the size of the bank.
+
+    The total length S of all models alike is a matter of its own: a longer model that is compressed and a shorter one
+    that is not have nearly the same shape, so the sensors do not tell S, but the null-space term of Eq. (16) drives the
+    arm to it. Of S_0, nominal, and S + sum dL, the model as it is stretched now, S goes towards
+
+        S* = S_0 + gamma (S + sum dL - S_0), within [(1 - total_range) S_0, S_0],
+
+    the minimum of gamma (S + sum dL - S*)^2 + (1 - gamma) (S* - S_0)^2. With gamma = 0 it stays nominal, with 1 the
+    rest lengths take over what the model is compressed, and above 1 more of it. It never grows beyond S_0: the last
+    sensor would no longer be on the tip.
 
     Args:
         nominal: (..., n_b) pi_0, m.
         feedback: Algorithm 2, of the controller's own settings.
         curve: Through the sensors.
-        shares: What the sections but the last are tried with, relative to their nominal lengths, see `candidates`.
+        shares: What the sections but the last are tried with, relative to their nominal lengths: one list for all, or
+            one a section; see `candidates`.
         elongation_weight: mu.
         nominal_weight: kappa.
         sharpness: The share by which V may exceed the least and still count.
@@ -62,6 +77,8 @@ class LengthBank(nn.Module):
         memory: s over which a model's past V count; 0 for the last alone.
         time_constant: tau, s.
         rate: Largest speed of a parameter, m/s. A row over it is scaled whole.
+        stretch: gamma.
+        total_range: How far the total length may fall below the nominal one, relative to it; below 1.
 
     Raises:
         ConfigError: There are fewer sensors than sections, or no combination of shares is left.
@@ -77,7 +94,7 @@ class LengthBank(nn.Module):
         nominal: Tensor,
         feedback: StateFeedback,
         curve: SensorCurve,
-        shares: Sequence[float] = (0.4, 0.55, 0.7, 0.85, 1.0, 1.15),
+        shares: Shares = (0.4, 0.55, 0.7, 0.85, 1.0, 1.15),
         elongation_weight: float = 0.02,
         nominal_weight: float = 0.002,
         sharpness: float = 0.3,
@@ -85,6 +102,8 @@ class LengthBank(nn.Module):
         memory: float = 2.0,
         time_constant: float = 1.0,
         rate: float = 0.3,
+        stretch: float = 0.0,
+        total_range: float = 0.1,
     ) -> None:
         super().__init__()
         positive = {"time_constant": time_constant, "rate": rate, "resolution": resolution}
@@ -95,11 +114,13 @@ class LengthBank(nn.Module):
             "nominal_weight": nominal_weight,
             "sharpness": sharpness,
             "memory": memory,
+            "stretch": stretch,
+            "total_range": total_range,
         }
         for name, value in weights.items():
             check_setting(name, value, zero=True)
-        if len(shares) == 0 or not all(0 < share < float("inf") for share in shares):
-            raise ValueRangeError(f"shares must be positive and finite, at least one, got {list(shares)}")
+        if total_range >= 1:
+            raise ValueRangeError(f"total_range must be below 1, got {total_range}")
         check_finite("nominal", check_tensor("nominal", nominal, (None,)))
         self.feedback = feedback
         self.curve = curve
@@ -110,6 +131,8 @@ class LengthBank(nn.Module):
         self.memory = memory
         self.time_constant = time_constant
         self.rate = rate
+        self.stretch = stretch
+        self.total_range = total_range
         hold_rows(self, nominal=(nominal.clone(), 1), candidates=(candidates(nominal, shares, feedback.abscissae), 2))
 
     @property
@@ -141,7 +164,8 @@ class LengthBank(nn.Module):
 
         Args:
             backbone: The model.
-            q, followed, abscissae: Not used: the models of the bank have their own.
+            q: (..., n) q_bar, whose elongations the total length follows.
+            followed, abscissae: Not used: the models of the bank have their own.
             pi: (..., n_b) pi_hat, m.
             T: (..., k, 4, 4) measured poses.
             dt: (...) s since the last sample.
@@ -149,7 +173,10 @@ class LengthBank(nn.Module):
             evidence: From `initial_evidence` or the last step.
         """
         M = self.candidates.shape[-2]
+        total, nominal = pi.sum(-1, keepdim=True), self.nominal.to(pi).sum(-1, keepdim=True)
         models = self.candidates.to(pi).expand(*pi.shape[:-1], M, pi.shape[-1])
+        if self.stretch > 0.0:
+            models = models * (total / nominal).unsqueeze(-1)
         chosen = torch.arange(M, device=pi.device) == evidence.turn.unsqueeze(-1)
         visited = torch.where(chosen.unsqueeze(-1), models, 0.0).sum(-2)
         seed = torch.where(chosen.unsqueeze(-1), evidence.q, 0.0).sum(-2)
@@ -168,13 +195,17 @@ class LengthBank(nn.Module):
         low = later.cost.amin(-1, keepdim=True)
         weight = torch.exp((low - later.cost) / (self.sharpness * low + self.resolution**2)).unsqueeze(-1)
         best = (weight * models).sum(-2) / weight.sum(-2)
+        if self.stretch > 0.0:
+            dL = q[..., backbone.coordinates.elongations].sum(-1, keepdim=True)
+            change = (self.stretch * ((total + dL) / nominal - 1.0)).clamp(-self.total_range, 0.0)
+            best = best * (nominal / total) * (1.0 + change)
         velocity = scaled_within((best - pi) / self.time_constant, self.rate)
         return torch.where(good.unsqueeze(-1), velocity, 0.0), later
 
     def cost(self, backbone: KinematicModel, q: Tensor, pi: Tensor, T: Tensor) -> Tensor:
         """V (...), m^2, of rest lengths pi (..., n_b) at q (..., n), poses T (..., k, 4, 4); unchecked."""
-        X = self.curve.abscissae.to(pi)
-        X = X.expand(*pi.shape[:-1], X.shape[-1])
+        # Of a model of another total length, the points that are as far along it.
+        X = self.curve.abscissae.to(pi) * (pi.sum(-1, keepdim=True) / self.nominal.to(pi).sum(-1, keepdim=True))
         off = self.curve.across(backbone.chain_to(q, backbone.material_points(pi, *located(X, pi))), T)
         dL = q[..., backbone.coordinates.elongations]
         away = pi - self.nominal.to(pi)
@@ -182,7 +213,7 @@ class LengthBank(nn.Module):
         return off.square().mean((-1, -2)) + prior
 
 
-def candidates(nominal: Tensor, shares: Sequence[float], abscissae: Tensor) -> Tensor:
+def candidates(nominal: Tensor, shares: Shares, abscissae: Tensor) -> Tensor:
     """(..., M, n_b) rest lengths, m: the nominal ones, then every combination of shares of all sections but the last.
 
     Left out are those with no length for the last section, and those that the sensors cannot tell: for every section
@@ -196,11 +227,12 @@ def candidates(nominal: Tensor, shares: Sequence[float], abscissae: Tensor) -> T
 
     Raises:
         ConfigError: There are fewer sensors than sections or one section alone, or no combination is left.
+        ValueRangeError: A share is not positive and finite, or there are not as many lists as sections but the last.
     """
     n_b, k = nominal.shape[-1], abscissae.shape[-1]
     if k < n_b:
         raise ConfigError(f"a bank of models with {n_b} sections needs at least {n_b} sensors, got {k}")
-    others = [factors for factors in itertools.product(shares, repeat=n_b - 1) if any(f != 1.0 for f in factors)]
+    others = [factors for factors in itertools.product(*_lists(shares, n_b - 1)) if any(f != 1.0 for f in factors)]
     if not others:
         raise ConfigError(f"a bank needs two sections or more and shares other than 1, got {n_b} and {list(shares)}")
     combined = torch.tensor(others, dtype=torch.float64).to(nominal)
@@ -212,6 +244,19 @@ def candidates(nominal: Tensor, shares: Sequence[float], abscissae: Tensor) -> T
     if not bool(kept.any()):
         raise ConfigError(f"shares must leave lengths that the sensors can tell, got {list(shares)}")
     return torch.cat((nominal.unsqueeze(-2), made[..., kept, :]), dim=-2)
+
+
+def _lists(shares: Shares, sections: int) -> list[list[float]]:
+    """The shares of each of the sections."""
+    own = [list(entry) for entry in shares if isinstance(entry, list | tuple)]
+    alike: list[Any] = [entry for entry in shares if not isinstance(entry, list | tuple)]
+    if own and (alike or len(own) != sections):
+        raise ValueRangeError(f"shares must be one list of numbers, or {sections} lists, got {shares}")
+    every = own or [alike] * sections
+    numbers = all(group and all(isinstance(share, int | float) for share in group) for group in every)
+    if not numbers or not all(0 < share < float("inf") for group in every for share in group):
+        raise ValueRangeError(f"shares must be positive and finite, at least one, got {shares}")
+    return every
 
 
 def _told_apart(lengths: Tensor, abscissae: Tensor) -> Tensor:

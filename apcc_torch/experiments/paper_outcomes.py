@@ -18,7 +18,7 @@ HELD_OUT, SINGLE = "_held_out", "_single"
 
 
 class Outcome(NamedTuple):
-    """One controller over R rows, thinned in time; with the limits of its motion where it is the standard one."""
+    """One controller over R rows, thinned in time; with the limits of its motion where they were looked for."""
 
     log: DynamicLog
     arms: Arms
@@ -68,7 +68,7 @@ def outcome(config: SimulateConfig, adaptive: bool, label: str) -> Outcome:
     thin = thinned(log)
     c = curves(thin, arms)
     metrics = grid_metrics(c, thin.diverged_at)
-    found = None if adaptive else limits(config, thin, arms)
+    found = limits(config, thin, arms)
     return Outcome(thin, arms, c, metrics | {"wall_s": time.perf_counter() - started}, found)
 
 

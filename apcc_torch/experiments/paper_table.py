@@ -43,8 +43,8 @@ HEADLINES = ("shape_error_mean_mm", "shape_error_max_mm", "psi_mean_cm", "end_ef
 
 NOTHING = 1e-9
 """A value below this is rounding: the arm hangs straight at first, where the model's shape is exact."""
-COLUMNS = ("metric", "paper standard", "paper adaptive", "paper change %",
-           "ours standard", "ours adaptive", "ours change %", "limit", "paper's figure")  # fmt: skip
+COLUMNS = ("metric", "paper standard", "paper adaptive", "paper, %",
+           "ours standard", "ours adaptive", "ours, %", "limit", "own limit", "paper's figure")  # fmt: skip
 
 
 def change_percent(standard: float, adaptive: float) -> float | None:
@@ -60,12 +60,17 @@ def gap_closed_percent(standard: float, adaptive: float, limit: float) -> float 
     return 100.0 * (standard - adaptive) / gap if isfinite(gap) and isfinite(adaptive) and gap > NOTHING else None
 
 
-def cell(standard: float, adaptive: float, limit: float | None = None) -> Cell:
-    """One entry of table.json. `limit` is the best that any rest lengths could reach, see `paper_limits`, or None."""
+def cell(standard: float, adaptive: float, limit: float | None = None, own_limit: float | None = None) -> Cell:
+    """One entry of table.json.
+
+    `limit` is the best that any rest lengths could reach on the motion under the standard controller, `own_limit` on
+    that under the adaptive one, see `paper_limits`; None where it is not looked for.
+    """
     return {
         "standard": standard if isfinite(standard) else None,
         "adaptive": adaptive if isfinite(adaptive) else None,
         "limit": limit,
+        "own_limit": own_limit,
         "change_percent": change_percent(standard, adaptive),
         "gap_closed_percent": None if limit is None else gap_closed_percent(standard, adaptive, limit),
     }
@@ -74,14 +79,13 @@ def cell(standard: float, adaptive: float, limit: float | None = None) -> Cell:
 def run_cells(both: Mapping[str, Outcome]) -> dict[str, Cell]:
     """Metric -> cell of one run; the time taken is no result."""
     standard, adaptive = both["standard"].metrics, both["adaptive"].metrics
-    found = both["standard"].limits
-    limit = {} if found is None else found.metrics()
+    limit, own = ({} if (found := both[name].limits) is None else found.metrics() for name in ("standard", "adaptive"))
     names = [name for name in standard if name != "wall_s" and name in adaptive]
-    return {name: cell(standard[name], adaptive[name], limit.get(name)) for name in names}
+    return {name: cell(standard[name], adaptive[name], limit.get(name), own.get(name)) for name in names}
 
 
 def table(results: Mapping[str, Outcomes]) -> dict[str, dict[str, dict[str, Cell]]]:
-    """{comparison: {run: {metric: {standard, adaptive, limit, change_percent}}}}."""
+    """{comparison: {run: {metric: {standard, adaptive, limit, own_limit, change_percent, ...}}}}."""
     return {
         comparison: {run: run_cells(both) for run, both in outcomes.items()} for comparison, outcomes in results.items()
     }
@@ -144,7 +148,8 @@ def text(results: Mapping[str, Outcomes], about: Mapping[str, str] | None = None
             lines += ["", title(run, both["standard"]), *_rows(run, run_cells(both), notes)]
             if run in LEFT_OUT:
                 lines.append(f"  ({LEFT_OUT[run]})")
-    widths = [max(len(row[i]) for row in (COLUMNS, *(x for x in lines if isinstance(x, tuple)))) for i in range(9)]
+    rows = (COLUMNS, *(line for line in lines if isinstance(line, tuple)))
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
 
     def laid(row: tuple[str, ...]) -> str:
         middle = (word.rjust(width) for word, width in zip(row[1:-1], widths[1:-1], strict=True))
@@ -155,7 +160,9 @@ def text(results: Mapping[str, Outcomes], about: Mapping[str, str] | None = None
     legend = [
         "", "Means, minima and maxima are over all runs and moments; an edge over time is the least or largest of the",
         "runs, averaged over time. The limit is the least that any rest lengths could leave on the motion under the",
-        "standard controller, each metric by itself. A diverged run stays in, held where it left its bounds.",
+        "standard controller, each metric by itself; the own limit that on the motion under the adaptive controller,",
+        "which is another: a law that moves the arm may pass the first. A diverged run stays in, held where it left",
+        "its bounds.",
         *(f"[{i + 1}] {note}" for i, note in enumerate(notes)),
     ]  # fmt: skip
     return "\n".join([laid(COLUMNS), rule, *body, *legend]) + "\n"
@@ -180,7 +187,7 @@ def _rows(run: str, cells: Mapping[str, Cell], notes: list[str]) -> list[tuple[s
             (
                 LABELS[metric], number(paper.standard), number(paper.adaptive), percent(paper.change),
                 number(ours["standard"]), number(ours["adaptive"]), percent(ours["change_percent"]),
-                number(ours["limit"]), source,
+                number(ours["limit"]), number(ours["own_limit"]), source,
             )
         )  # fmt: skip
     return rows

@@ -70,6 +70,38 @@ def test_the_models_are_all_combinations_that_keep_the_total_length() -> None:
     assert long.shape == (2, 1, 2, 3) and bool((long > 0).all())
 
 
+def test_every_section_may_have_shares_of_its_own() -> None:
+    found = candidates(PI, ((0.5, 1.0), (0.75,)), SENSORS)
+    want = torch.stack(
+        [PI, *(torch.stack((a * PI[0], 0.75 * PI[1], PI.sum() - a * PI[0] - 0.75 * PI[1])) for a in (0.5, 1.0))]
+    )
+    torch.testing.assert_close(found, want)
+    torch.testing.assert_close(candidates(PI, (SHARES, SHARES), SENSORS), candidates(PI, SHARES, SENSORS))
+
+
+@pytest.mark.parametrize(
+    ("stretch", "total_range", "true", "want"),
+    [
+        (1.0, 0.1, 0.95, 0.95),  # the whole of what the model is compressed
+        (0.5, 0.1, 0.95, 0.975),
+        (0.0, 0.1, 0.95, 1.0),
+        (1.0, 0.02, 0.95, 0.98),  # no further than the range
+        (1.0, 0.1, 1.05, 1.0),  # the last sensor stays on the tip
+    ],
+)
+def test_the_total_length_follows_the_compression(stretch: float, total_range: float, true: float, want: float) -> None:
+    # An arm of other lengths, unstretched: with the tip's sensor on its tip.
+    arm = true * PI
+    T = BACKBONE.pose(BENT, arm, *decouple(true * SENSORS, arm))
+    made = bank(stretch=stretch, total_range=total_range)
+    pi, q, evidence = PI, torch.zeros(9, dtype=D), made.initial_evidence(torch.zeros(9, dtype=D), PI)
+    for _ in range(160):
+        q = FEEDBACK(q, pi, T).q_bar
+        velocity, evidence = made(BACKBONE, q, pi, None, T, SENSORS, DT, torch.tensor(True), evidence)
+        pi = pi + DT * velocity
+    assert float(pi.sum() / PI.sum()) == pytest.approx(want, abs=2e-3)
+
+
 def test_models_that_the_sensors_cannot_tell_are_left_out() -> None:
     # Where the sensors leave sections open, algorithm 2's problem is singular; for what is kept it is not.
     even, X = torch.full((3,), 0.15, dtype=D), torch.tensor([0.15, 0.3, 0.45], dtype=D)
@@ -96,7 +128,8 @@ def test_the_cost_is_its_definition(seed: int) -> None:
     made = bank(elongation_weight=0.3, nominal_weight=0.2)
     total = torch.zeros((), dtype=D)
     for X, point in zip(CURVE.abscissae, CURVE(T), strict=True):
-        (pose,) = BACKBONE.pose(q, pi, *decouple(X.unsqueeze(0), pi))
+        # As far along the model, whose total length is another, as X is along the arm.
+        (pose,) = BACKBONE.pose(q, pi, *decouple(0.9 * X.unsqueeze(0), pi))
         local = torch.linalg.solve(pose, torch.cat((point, torch.ones(1, dtype=D))))
         total = total + local[:2].square().sum()
     mean = total / (2 * CURVE.abscissae.shape[0])
@@ -219,7 +252,13 @@ def test_gradients_pass() -> None:
         ({"resolution": 0.0}, "resolution must be positive"),
         ({"sharpness": -0.1}, "sharpness must be zero or positive"),
         ({"memory": float("nan")}, "memory must be zero or positive"),
+        ({"stretch": -0.1}, "stretch must be"),
+        ({"total_range": 1.0}, "total_range must be below 1"),
         ({"shares": ()}, "shares must be positive"),
+        ({"shares": ("long",)}, "shares must be positive"),
+        ({"shares": ((0.5, 1.0), ())}, "shares must be positive"),
+        ({"shares": ((0.5, 1.0),)}, "shares must be one list of numbers, or 2 lists"),
+        ({"shares": ((0.5, 1.0), 1.0)}, "shares must be one list of numbers, or 2 lists"),
         ({"shares": (0.5, -1.0)}, "shares must be positive"),
     ],
 )

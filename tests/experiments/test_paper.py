@@ -217,11 +217,15 @@ def test_table_has_the_documented_form(results: dict[str, Outcomes]) -> None:
     for runs in found["A"].values():
         assert "wall_s" not in runs and "shape_error_mean_mm" in runs
         for name, entry in runs.items():
-            assert list(entry) == ["standard", "adaptive", "limit", "change_percent", "gap_closed_percent"]
+            assert list(entry) == [
+                "standard", "adaptive", "limit", "own_limit", "change_percent", "gap_closed_percent"
+            ]  # fmt: skip
             if "shape_error_m" in name or name.startswith("sensor"):
                 # The limit is taken at fewer instants than the mean, so it may lie above it by a little.
                 assert entry["limit"] is not None and entry["standard"] is not None
                 assert 0.0 <= entry["limit"] < 1.1 * entry["standard"] + 0.1
+                assert entry["own_limit"] is not None and entry["adaptive"] is not None
+                assert 0.0 <= entry["own_limit"] < 1.1 * entry["adaptive"] + 0.1
     mine = found["A"]["run_2"]["psi_mean_cm"]
     assert mine["standard"] == results["A"]["run_2"]["standard"].metrics["psi_mean_cm"]
 

@@ -92,6 +92,7 @@ BANK = LengthBank(
     feedback=StateFeedback(PCCBackbone(3, BASE), X, "position", max_iterations=2),
     curve=SensorCurve(BASE, X, samples=2),
     shares=(0.6, 1.0),
+    stretch=1.0,
     sharpness=0.1,
     memory=0.5,
     time_constant=0.3,
