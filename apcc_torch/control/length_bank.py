@@ -200,7 +200,7 @@ class LengthBank(nn.Module):
             change = (self.stretch * ((total + dL) / nominal - 1.0)).clamp(-self.total_range, 0.0)
             best = best * (nominal / total) * (1.0 + change)
         velocity = scaled_within((best - pi) / self.time_constant, self.rate)
-        return torch.where(good.unsqueeze(-1), velocity, 0.0), later
+        return torch.where(good.unsqueeze(-1) & torch.isfinite(velocity), velocity, 0.0), later
 
     def cost(self, backbone: KinematicModel, q: Tensor, pi: Tensor, T: Tensor) -> Tensor:
         """V (...), m^2, of rest lengths pi (..., n_b) at q (..., n), poses T (..., k, 4, 4); unchecked."""

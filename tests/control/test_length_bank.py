@@ -102,6 +102,19 @@ def test_the_total_length_follows_the_compression(stretch: float, total_range: f
     assert float(pi.sum() / PI.sum()) == pytest.approx(want, abs=2e-3)
 
 
+def test_an_estimate_that_is_not_finite_moves_nothing() -> None:
+    made = bank(stretch=1.0)
+    q = torch.stack((BENT, torch.full_like(BENT, float("nan"))))
+    pi, T = PI.expand(2, 3), measured(BENT).expand(2, 3, 4, 4)
+    evidence = made.initial_evidence(torch.zeros(2, 9, dtype=D), PI)
+    velocity, _ = made(BACKBONE, q, pi, None, T, SENSORS, DT.expand(2), torch.tensor([True, True]), evidence)
+    alone, _ = made(
+        BACKBONE, BENT, PI, None, T[0], SENSORS, DT, torch.tensor(True), made.initial_evidence(q[0] * 0, PI)
+    )
+    assert not bool(velocity[1].any())
+    torch.testing.assert_close(velocity[0], alone)
+
+
 def test_models_that_the_sensors_cannot_tell_are_left_out() -> None:
     # Where the sensors leave sections open, algorithm 2's problem is singular; for what is kept it is not.
     even, X = torch.full((3,), 0.15, dtype=D), torch.tensor([0.15, 0.3, 0.45], dtype=D)
