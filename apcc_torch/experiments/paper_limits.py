@@ -103,7 +103,7 @@ def length_grid(config: SimulateConfig, build: Builder) -> Tensor:
 
 
 def _inferred(feedback: StateFeedback, q: Tensor, pi: Tensor, T: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """q_bar and the sensors' linear and angular errors under rest lengths pi (n_b,)."""
+    """q_bar and the sensors' linear and angular errors under rest lengths pi, (n_b,) or as many as of q."""
     found = feedback(q, pi.expand(*q.shape[:-1], pi.shape[-1]), T)
     angular = orientation_error(feedback.backbone, found.q_bar, pi, feedback.abscissae, T[..., :3, :3])
     return found.q_bar, found.linear_error, angular
@@ -126,7 +126,8 @@ def limits(config: SimulateConfig, log: DynamicLog, arms: Arms) -> Limits:
         T = arms.true.pose(few.q_true, arms.true_lengths, *decouple(arms.sensors, arms.true_lengths))
         shape = oracle_fit(arms.model, true, few.q_bar, few.pi_hat).error
         found: list[tuple[Tensor, ...]] = []
-        for pi in length_grid(config, build):
+        # The lengths that the controller had at these instants are among them: it is never below its own limit.
+        for pi in (few.pi_hat, *length_grid(config, build)):
             q, linear, angular = _inferred(feedback, few.q_bar, pi, T)
             error = backbone_error(arms.true, few.q_true, arms.true_lengths, arms.model, q, pi, POINTS)
             found.append((error, elongation_cost(q), linear, angular))
