@@ -13,7 +13,7 @@ from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
 import torch
-from run_settings import run_settings
+from run_settings import BANK, GENTLE, run_settings
 from sections import SECTIONS, listed
 from tqdm import tqdm
 
@@ -21,8 +21,7 @@ from apcc_torch.experiments.dynamic import curves, dynamic_metrics, simulate, th
 from apcc_torch.files import write_json
 from apcc_torch.report.style import SERIES, dress, new_figure, save_figure
 
-BASE = ("experiment=dynamic_run_2_tuned", "experiment.subset=training", "experiment.duration=6.0",
-        "controller.null_gain=0.3", "controller.epsilon=0.005")  # fmt: skip
+BASE = ("experiment=dynamic_run_2_tuned", "experiment.subset=training", "experiment.duration=6.0", *GENTLE)
 TASK = ("residual.target=null", "adaptation.rate=0.1", "adaptation.dead_zone=0.002")
 LAWS: dict[str, tuple[str, ...]] = {
     "fixed": ("controller.adaptive=false",),
@@ -31,7 +30,7 @@ LAWS: dict[str, tuple[str, ...]] = {
     "joint": ("residual.target=sensors", "residual.angular_weight=0.03", "residual.memory=0.5",
               "residual.nominal_weight=0.05", "residual.elongation_weight=0.05", "residual.time_constant=0.3"),
     "curve": ("residual.time_constant=0.3", "residual.nominal_weight=0.02", "residual.elongation_weight=0.05"),
-    "bank": ("residual=bank", "residual.nominal_weight=0.002", "residual.elongation_weight=0.02"),
+    "bank": BANK,
 }  # fmt: skip
 TASK_LAWS = ("task error, partial", "task error, total")
 FEW = ("fixed", "task error, total", "curve", "bank")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import torch
-from run_settings import run_settings
+from run_settings import GENTLE, run_settings
 from torch import Tensor
 
 from apcc_torch import StateFeedback
@@ -32,7 +32,6 @@ NOISE = BalanceNoise()
 MEAN_NOISE = BalanceNoise(*(value / READINGS**0.5 for value in NOISE[:3]), *NOISE[3:])
 ENCODER_NOISE = 1e-4
 """Of a tendon's length change, m, the same in all readings."""
-GENTLE = ("controller.null_gain=0.3", "controller.epsilon=0.005")
 CONTROLLERS = {
     "fixed": ("experiment=dynamic_run_2_tuned", "controller.adaptive=false", *GENTLE),
     "adapted": (

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import torch
 from page import between
-from run_settings import run_settings
+from run_settings import BANK, GENTLE, run_settings
 from sections import SECTIONS, listed
 from timing import timed_steps
 from tqdm import tqdm
@@ -36,13 +36,7 @@ MODELS: dict[str, tuple[str, ...]] = {
     "affine curvature": ("model=affine",),
 }  # fmt: skip
 SENSORS = 3
-POSES = (
-    "experiment=dynamic_run_2_tuned",
-    "experiment.payloads=[0.5]",
-    "experiment.duration=6.0",
-    "controller.null_gain=0.3",
-    "controller.epsilon=0.005",
-)
+POSES = ("experiment=dynamic_run_2_tuned", "experiment.payloads=[0.5]", "experiment.duration=6.0", *GENTLE)
 CONTROLLERS = {
     "fixed": ("controller.adaptive=false",),
     "curve": (
@@ -51,7 +45,7 @@ CONTROLLERS = {
         "residual.nominal_weight=0.05",
         "residual.elongation_weight=0.05",
     ),
-    "bank": ("residual=bank", "residual.nominal_weight=0.002", "residual.elongation_weight=0.02"),
+    "bank": BANK,
 }
 KEPT = (
     "shape_error_mean_mm", "shape_error_max_mm", "sensor_error_linear_mean_mm", "sensor_error_angular_mean_rad",

@@ -13,7 +13,7 @@ import json
 from pathlib import Path
 
 import torch
-from run_settings import run_settings
+from run_settings import BANK, run_settings
 from tqdm import tqdm
 
 from apcc_torch.configs.batch import stacked
@@ -23,16 +23,15 @@ from apcc_torch.report.style import BLUE, GREEN, ORANGE, VERMILION, dress, from_
 
 GAINS = (0.5, 1.0, 2.0, 4.0, 8.0)
 ARMS = {"arm 1": "dynamic_run_2", "arm 2": "robot_2"}
-BANK = ("residual=bank", "residual.elongation_weight=0.02", "residual.nominal_weight=0.002",
-        "adaptation.lower=null", "adaptation.upper=null")  # fmt: skip
+UNBOUND = ("adaptation.lower=null", "adaptation.upper=null")
 CONTROLLERS = {
     "fixed": (("controller.adaptive=false",), VERMILION),
     "curve": (
         ("residual.time_constant=0.3", "residual.elongation_weight=0.05", "residual.nominal_weight=0.02"),
         ORANGE,
     ),
-    "bank": ((*BANK, "residual.stretch=0.0"), GREEN),
-    "bank, total follows": ((*BANK, "residual.stretch=1.0", "controller.elongation_bound=0.2"), BLUE),
+    "bank": ((*BANK, *UNBOUND, "residual.stretch=0.0"), GREEN),
+    "bank, total follows": ((*BANK, *UNBOUND, "residual.stretch=1.0", "controller.elongation_bound=0.2"), BLUE),
 }  # fmt: skip
 """Controller -> its settings and its colour."""
 KEPT = ("shape_error_mean_mm", "shape_error_max_mm", "psi_mean_cm", "end_effector_error_end_mm", "diverged_rows")

@@ -173,10 +173,10 @@ class LengthBank(nn.Module):
             evidence: From `initial_evidence` or the last step.
         """
         M = self.candidates.shape[-2]
-        total, nominal = pi.sum(-1, keepdim=True), self.nominal.to(pi).sum(-1, keepdim=True)
+        total = self._total(pi)
         models = self.candidates.to(pi).expand(*pi.shape[:-1], M, pi.shape[-1])
         if self.stretch > 0.0:
-            models = models * (total / nominal).unsqueeze(-1)
+            models = models * total.unsqueeze(-1)
         chosen = torch.arange(M, device=pi.device) == evidence.turn.unsqueeze(-1)
         visited = torch.where(chosen.unsqueeze(-1), models, 0.0).sum(-2)
         seed = torch.where(chosen.unsqueeze(-1), evidence.q, 0.0).sum(-2)
@@ -196,21 +196,25 @@ class LengthBank(nn.Module):
         weight = torch.exp((low - later.cost) / (self.sharpness * low + self.resolution**2)).unsqueeze(-1)
         best = (weight * models).sum(-2) / weight.sum(-2)
         if self.stretch > 0.0:
-            dL = q[..., backbone.coordinates.elongations].sum(-1, keepdim=True)
-            change = (self.stretch * ((total + dL) / nominal - 1.0)).clamp(-self.total_range, 0.0)
-            best = best * (nominal / total) * (1.0 + change)
+            stretched = self._total(pi + q[..., backbone.coordinates.elongations])
+            change = (self.stretch * (stretched - 1.0)).clamp(-self.total_range, 0.0)
+            best = best * (1.0 + change) / total
         velocity = scaled_within((best - pi) / self.time_constant, self.rate)
         return torch.where(good.unsqueeze(-1) & torch.isfinite(velocity), velocity, 0.0), later
 
     def cost(self, backbone: KinematicModel, q: Tensor, pi: Tensor, T: Tensor) -> Tensor:
         """V (...), m^2, of rest lengths pi (..., n_b) at q (..., n), poses T (..., k, 4, 4); unchecked."""
         # Of a model of another total length, the points that are as far along it.
-        X = self.curve.abscissae.to(pi) * (pi.sum(-1, keepdim=True) / self.nominal.to(pi).sum(-1, keepdim=True))
+        X = self.curve.abscissae.to(pi) * self._total(pi)
         off = self.curve.across(backbone.chain_to(q, backbone.material_points(pi, *located(X, pi))), T)
         dL = q[..., backbone.coordinates.elongations]
         away = pi - self.nominal.to(pi)
         prior = self.elongation_weight**2 * dL.square().sum(-1) + self.nominal_weight**2 * away.square().sum(-1)
         return off.square().mean((-1, -2)) + prior
+
+    def _total(self, lengths: Tensor) -> Tensor:
+        """(..., 1) the total of lengths (..., n_b), relative to the nominal one."""
+        return lengths.sum(-1, keepdim=True) / self.nominal.to(lengths).sum(-1, keepdim=True)
 
 
 def candidates(nominal: Tensor, shares: Shares, abscissae: Tensor) -> Tensor:

@@ -58,10 +58,10 @@ def trade_offs(outcomes: Outcomes) -> dict[str, TradeOff]:
     """Title -> trade-off of every whole grid."""
     found: dict[str, TradeOff] = {}
     for run, both in outcomes.items():
-        fronts = {name: o.limits.trade_off() for name, o in both.items() if o.limits is not None}
-        limits = both["standard"].limits
-        if limits is None or run.endswith((HELD_OUT, SINGLE)):
+        if run.endswith((HELD_OUT, SINGLE)):
             continue
+        fronts = {name: o.limits.trade_off() for name, o in both.items()}
+        limits = both["standard"].limits
         reached = {name: (o.metrics["shape_error_mean_mm"], o.metrics["psi_mean_cm"]) for name, o in both.items()}
         found[run.replace("_", " ")] = TradeOff(fronts, 1e3 * limits.mean(limits.shape), reached)
     return found

@@ -1,8 +1,9 @@
 """How much there is to win: the least that any rest lengths could leave on the arm's true motion under one controller.
 
 For the shape it is the best fit of the model's sections to the true backbone. For what algorithm 2 makes of the
-sensors, Psi and the residuals, it is the best over a grid of rest lengths, each metric by itself: no law that moves the
-rest lengths within its bounds does better on this motion but for the grid's steps, and none does all of it at once.
+sensors, Psi and the residuals, it is the best over the run's own rest lengths and a grid of others, each metric by
+itself: no law that moves them within its bounds does better on this motion but for the grid's steps, and none does all
+of it at once.
 The grid holds lengths far beyond the bounds too, of any split of the arm that the sensors can tell.
 """
 

@@ -18,13 +18,13 @@ HELD_OUT, SINGLE = "_held_out", "_single"
 
 
 class Outcome(NamedTuple):
-    """One controller over R rows, thinned in time; with the limits of its motion where they were looked for."""
+    """One controller over R rows, thinned in time; with the limits of its motion."""
 
     log: DynamicLog
     arms: Arms
     curves: RunCurves
     metrics: Mapping[str, float]
-    limits: Limits | None = None
+    limits: Limits
 
     def rows(self, index: Sequence[int]) -> Outcome:
         """Some rows alone, with their own metrics."""
@@ -33,8 +33,7 @@ class Outcome(NamedTuple):
         time, diverged_at = timed.pop("time"), timed.pop("diverged_at")[at]
         log = DynamicLog(time=time, diverged_at=diverged_at, **{name: field[:, at] for name, field in timed.items()})
         c = RunCurves(self.curves.time, *(field[:, at] for field in self.curves[1:]))
-        limits = None if self.limits is None else self.limits.rows(at)
-        return Outcome(log, self.arms, c, grid_metrics(c, log.diverged_at), limits)
+        return Outcome(log, self.arms, c, grid_metrics(c, log.diverged_at), self.limits.rows(at))
 
 
 Outcomes = Mapping[str, Mapping[str, Outcome]]

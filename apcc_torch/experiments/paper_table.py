@@ -64,7 +64,7 @@ def cell(standard: float, adaptive: float, limit: float | None = None, own_limit
     """One entry of table.json.
 
     `limit` is the best that any rest lengths could reach on the motion under the standard controller, `own_limit` on
-    that under the adaptive one, see `paper_limits`; None where it is not looked for.
+    that under the adaptive one, see `paper_limits`; None for a metric that has none.
     """
     return {
         "standard": standard if isfinite(standard) else None,
@@ -79,7 +79,7 @@ def cell(standard: float, adaptive: float, limit: float | None = None, own_limit
 def run_cells(both: Mapping[str, Outcome]) -> dict[str, Cell]:
     """Metric -> cell of one run; the time taken is no result."""
     standard, adaptive = both["standard"].metrics, both["adaptive"].metrics
-    limit, own = ({} if (found := both[name].limits) is None else found.metrics() for name in ("standard", "adaptive"))
+    limit, own = both["standard"].limits.metrics(), both["adaptive"].limits.metrics()
     names = [name for name in standard if name != "wall_s" and name in adaptive]
     return {name: cell(standard[name], adaptive[name], limit.get(name), own.get(name)) for name in names}
 
