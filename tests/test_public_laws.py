@@ -106,7 +106,8 @@ def controller_state(q: Tensor, lengths: Tensor, dtype: torch.dtype, rng: torch.
 
 def controller() -> APCCController:
     law = AdaptiveLaw(3, 0.5, lower=PI - 0.05, upper=PI + 0.1, rate=0.5, reach=0.5)
-    ik = InverseKinematics(bend_rate=2.0, length_rate=0.5)
+    null = {"null_weights": 2.0 * PI, "null_bends": 0.1 * PI}
+    ik = InverseKinematics(bend_rate=2.0, length_rate=0.5, **null)
     return APCCController(BACKBONE, feedback("pose"), FILTER, ik, law, bend_bound=1.0, elongation_bound=0.1)
 
 

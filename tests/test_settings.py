@@ -162,6 +162,15 @@ def test_abscissae_may_differ_from_row_to_row() -> None:
     torch.testing.assert_close(together, alone, rtol=1e-9, atol=1e-12)
 
 
+def test_what_the_null_space_prefers_may_differ_from_row_to_row() -> None:
+    for name in ("null_weights", "null_bends"):
+        sets = [rows(1.0, 0.5, 2.0), rows(0.1, 3.0, 0.0), rows(0.0, 0.2, 0.4)]
+        together = solver(null_gain=1.0, **{name: torch.stack(sets)})
+        alone = [solver(null_gain=1.0, **{name: each}) for each in sets]
+        torch.testing.assert_close(together, torch.stack([alone[i][i] for i in range(ROWS)]), rtol=1e-9, atol=1e-12)
+        assert not torch.allclose(alone[0], alone[1], rtol=1e-6, atol=1e-9)
+
+
 def test_reach_may_differ_from_row_to_row() -> None:
     ends = torch.stack((rows(0.0, 0.0, 0.7), rows(0.2, 0.5, 0.6), rows(0.0, 0.45, 0.5)))
     together = AdaptiveLaw(3, 2.0, reach=ends).project(PI.expand(ROWS, 3))

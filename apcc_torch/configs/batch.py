@@ -26,7 +26,8 @@ ROWS: dict[str, frozenset[str]] = {
     ),
     "velocity_filter": frozenset({"window"}),
     "controller": frozenset(
-        {"K", "gamma", "damping", "null_gain", "epsilon", "bend_rate", "length_rate", "bend_bound", "elongation_bound"}
+        {"K", "gamma", "damping", "null_gain", "epsilon", "null_weights", "null_bends"}
+        | {"bend_rate", "length_rate", "bend_bound", "elongation_bound"}
     ),
     "adaptation": frozenset({"gain_scale", "lower", "upper", "rate", "normalisation", "dead_zone", "reach"}),
     "experiment": frozenset({"r_0", "A", "omega", "setpoints", "payloads"}),

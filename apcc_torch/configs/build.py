@@ -181,6 +181,8 @@ class Builder:
             k.bend_rate,
             k.length_rate,
             backbone.coordinates,
+            given("controller.null_weights", k.null_weights),
+            given("controller.null_bends", k.null_bends),
         )
         gains = given("residual.gains", c.residual.gains)
         return APCCController(

@@ -100,6 +100,8 @@ class ControllerConfig:
     damping: float = 1e-3
     null_gain: float = 0.2
     epsilon: float = 5e-3
+    null_weights: list[float] | None = None
+    null_bends: list[float] | None = None
     bend_rate: float | None = None
     length_rate: float | None = None
     bend_bound: float | None = None

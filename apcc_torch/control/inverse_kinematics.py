@@ -9,25 +9,38 @@ from apcc_torch.control.gain import gain_matrix
 from apcc_torch.linalg import damped_pseudo_inverse
 from apcc_torch.model.coordinates import CONSTANT_CURVATURE, Coordinates
 from apcc_torch.settings import Setting, aligned, check_setting, hold, hold_rows
-from apcc_torch.shapes import check_same, check_tensor
+from apcc_torch.shapes import check_finite, check_same, check_tensor
 
 
-def elongation_cost(q: Tensor, epsilon: float = 0.0, coordinates: Coordinates = CONSTANT_CURVATURE) -> Tensor:
+def elongation_cost(
+    q: Tensor,
+    epsilon: float = 0.0,
+    coordinates: Coordinates = CONSTANT_CURVATURE,
+    weights: Tensor | None = None,
+) -> Tensor:
     """Psi (...) = ||dL||_2, m, of configurations (..., n). Eq. (50) [Dalenberg].
 
     Args:
         q: (..., n).
         epsilon: m. Psi = sqrt(|dL|^2 + eps^2) - eps has a gradient at dL = 0, where the printed norm has none.
         coordinates: What q is made of.
+        weights: (..., n_b) of the sections' dL^2 in |dL|^2; None for 1, as printed.
     """
-    squared = q[..., coordinates.elongations].square().sum(-1)
+    dL = q[..., coordinates.elongations]
+    squared = (dL.square() if weights is None else weights.to(dL) * dL.square()).sum(-1)
     return torch.sqrt(squared + epsilon**2) - epsilon  # Eq. (50)
 
 
-def elongation_gradient(q: Tensor, epsilon: Setting, coordinates: Coordinates = CONSTANT_CURVATURE) -> Tensor:
-    """Gradient of the smoothed `elongation_cost`, (..., n): dL / sqrt(|dL|^2 + eps^2) on the elongations."""
+def elongation_gradient(
+    q: Tensor,
+    epsilon: Setting,
+    coordinates: Coordinates = CONSTANT_CURVATURE,
+    weights: Tensor | None = None,
+) -> Tensor:
+    """Gradient of the smoothed `elongation_cost`, (..., n): W dL / sqrt(dL^T W dL + eps^2) on the elongations."""
     dL = q[..., coordinates.elongations]
-    slope = dL / torch.sqrt(dL.square().sum(-1, keepdim=True) + aligned(epsilon, 1) ** 2)
+    weighed = dL if weights is None else weights.to(dL) * dL
+    slope = weighed / torch.sqrt((weighed * dL).sum(-1, keepdim=True) + aligned(epsilon, 1) ** 2)
     return coordinates.on_elongations(slope)
 
 
@@ -45,9 +58,13 @@ class InverseKinematics(nn.Module):
             keeps the direction of its task velocity.
         length_rate: Bound on every length's rate, m/s; None for no bound.
         coordinates: What q is made of: the model's. Coordinates that are not driven get no velocity.
+        null_weights: (..., n_b) weights of the sections' elongations in the Psi that is lowered; None for 1, Eq. (50).
+        null_bends: (..., n_b) beta, 1/s: grad_Psi has beta_i d_i on the bends d_i of section i too. As far as the tip
+            leaves it free, a section with beta > 0 bends more and one with beta < 0 less; None for 0, Eq. (50).
 
     Raises:
-        ValueRangeError: K is not positive definite, or a setting is negative or not finite.
+        ShapeError: null_weights or null_bends has not one entry a section.
+        ValueRangeError: K is not positive definite, or a setting is negative (beta may be) or not finite.
     """
 
     K: Tensor
@@ -56,6 +73,8 @@ class InverseKinematics(nn.Module):
     epsilon: Setting
     bend_rate: Setting | None
     length_rate: Setting | None
+    null_weights: Tensor | None
+    null_bends: Tensor | None
 
     def __init__(
         self,
@@ -66,9 +85,16 @@ class InverseKinematics(nn.Module):
         bend_rate: Setting | None = None,
         length_rate: Setting | None = None,
         coordinates: Coordinates = CONSTANT_CURVATURE,
+        null_weights: Tensor | None = None,
+        null_bends: Tensor | None = None,
     ) -> None:
         super().__init__()
         self.coordinates = coordinates
+        if null_weights is not None:
+            check_setting("null_weights", check_tensor("null_weights", null_weights, (None,)), zero=True)
+        if null_bends is not None:
+            check_finite("null_bends", check_tensor("null_bends", null_bends, (None,)))
+        hold_rows(self, null_weights=(null_weights, 1), null_bends=(null_bends, 1))
         hold_rows(self, K=(gain_matrix("K", K, 3), 2))
         for name, value in {"damping": damping, "null_gain": null_gain}.items():
             check_setting(name, value, zero=True)
@@ -105,7 +131,15 @@ class InverseKinematics(nn.Module):
 
     def descent(self, q: Tensor) -> Tensor:
         """grad_Psi (..., n) of Eq. (16) at q (..., n): minus the null gain times the gradient of the smoothed Psi."""
-        return aligned(-self.null_gain, 1) * elongation_gradient(q, self.epsilon, self.coordinates)
+        sections = q[..., self.coordinates.elongations].shape[-1]
+        for name, each in {"null_weights": self.null_weights, "null_bends": self.null_bends}.items():
+            if each is not None:
+                check_tensor(name, each, (sections,))
+        slope = elongation_gradient(q, self.epsilon, self.coordinates, self.null_weights)
+        down = aligned(-self.null_gain, 1) * slope
+        if self.null_bends is not None:
+            down = down + self.coordinates.on_bends(self.null_bends.to(q)) * q
+        return down
 
     def bounded(self, qdot: Tensor) -> Tensor:
         """qdot (..., n), each row over a bound scaled whole."""

@@ -114,6 +114,16 @@ class Coordinates:
         zero = torch.zeros_like(values if many == 1 else values[..., ::many])
         return torch.stack([next(parts) if c.stretches else zero for c in self.pattern], dim=-1).flatten(-2)
 
+    def on_bends(self, values: Tensor) -> Tensor:
+        """(..., n) with values (..., n_b) at the bends of their sections and zero elsewhere."""
+        many = sum(c.stretches for c in self.pattern)
+        of_section = values.unflatten(-1, (-1, many)).unbind(-1)
+        zero, section, entries = torch.zeros_like(of_section[0]), 0, []
+        for c in self.pattern:
+            entries.append(of_section[section] if c in (BEND_X, BEND_Y) else zero)
+            section += c.stretches
+        return torch.stack(entries, dim=-1).flatten(-2)
+
     def per_unit(self, angle: Setting, length: Setting, n: int, like: Tensor) -> Tensor:
         """(..., n) with `angle` at the angles and `length` at the lengths; each a number or (...), one a row."""
         repeats = n // self.period

@@ -50,6 +50,8 @@ def test_controller_takes_its_settings() -> None:
         "velocity_filter.order=3",
         "velocity_filter.velocity=commanded",
         "controller.bend_bound=2.5",
+        "controller.null_weights=[1,2,0.5]",
+        "controller.null_bends=[0.1,0,-0.1]",
     )
     c = build.controller()
     torch.testing.assert_close(c.law.gamma, torch.diag(torch.tensor([0.5, 1.0, 1.5], dtype=torch.float64)))
@@ -57,6 +59,9 @@ def test_controller_takes_its_settings() -> None:
     assert c.law.lower is not None and c.law.lower.tolist() == [0.05, 0.1, 0.1]
     assert (c.feedback.mode, c.feedback.max_iterations) == ("position", 9)
     assert (c.velocity_filter.window, c.velocity_filter.order, c.velocity) == (21, 3, "commanded")
+    ik = c.inverse_kinematics
+    assert ik.null_weights is not None and ik.null_weights.tolist() == [1.0, 2.0, 0.5]
+    assert ik.null_bends is not None and ik.null_bends.tolist() == [0.1, 0.0, -0.1]
     assert c.bend_bound == 2.5 and c.routing is not None and c.routing.n_tendons == 9
     assert build.controller(adaptive=False).adaptive is False and build.controller(adaptive=True).adaptive is True
 
@@ -127,6 +132,8 @@ def test_one_dtype_throughout(dtype: str) -> None:
         ("controller.K", "[1,2,x]", "controller"),
         ("controller.K", "{a: 1}", "controller"),
         ("adaptation.lower", "[0.1]", "controller"),
+        ("controller.null_weights", "[1,1]", "controller"),
+        ("controller.null_bends", "[0]", "controller"),
         ("experiment.setpoints", "null", "setpoints"),
         ("experiment.setpoints", "[]", "setpoints"),
         ("experiment.setpoints", "[[0,0,1],[0,0]]", "setpoints"),

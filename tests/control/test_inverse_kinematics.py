@@ -93,6 +93,43 @@ def test_elongation_gradient(seed: int) -> None:
 
 
 @given(seed=seeds)
+def test_preferred_shape_is_the_descent_of_one_cost(seed: int) -> None:
+    J, e, xdot_d, q = tasks(seed)
+    rng = generator(seed + 1)
+    w, beta = normal((3,), torch.float64, rng).exp(), 0.1 * normal((3,), torch.float64, rng)
+
+    def cost(q: Tensor) -> Tensor:
+        bends = q.unflatten(-1, (3, 3))[..., :2]
+        return 0.3 * elongation_cost(q, 0.05, weights=w) - 0.5 * (beta * bends.square().sum(-1)).sum()
+
+    ik = InverseKinematics(damping=0.0, null_gain=0.3, epsilon=0.05, null_weights=w, null_bends=beta)
+    descent = ik.descent(q)
+    torch.testing.assert_close(descent, torch.stack([-grad(cost)(row) for row in q]))
+    # It moves what the tip leaves free, and not the tip.
+    plain = InverseKinematics(damping=0.0, null_gain=0.0)(J, e, xdot_d, q)
+    projector = torch.eye(9, dtype=torch.float64) - torch.linalg.pinv(J) @ J
+    moved = ik(J, e, xdot_d, q) - plain
+    torch.testing.assert_close(moved, apply(projector, descent), rtol=1e-9, atol=1e-9)
+    torch.testing.assert_close(apply(J, moved), torch.zeros_like(e), rtol=0, atol=1e-10)
+
+
+def test_bends_grow_or_shrink_where_the_tip_leaves_them_free() -> None:
+    backbone = PCCBackbone(3)
+    start = configurations((), 3, torch.float64, generator(0), elongation=0.02)
+    x = backbone.tip(start, PI)
+    last = []
+    for beta in (-1.0, 0.0, 0.5):
+        q = start
+        ik = InverseKinematics(5.0, null_gain=0.2, null_bends=torch.tensor([0.0, 0.0, beta]).double())
+        for _ in range(200):
+            tip, J = backbone.tip_and_jacobian(q, PI)
+            q = q + 5e-3 * ik(J, x - tip, torch.zeros(3).double(), q)
+        assert float((backbone.tip(q, PI) - x).norm()) < 1e-3
+        last.append(float(q[6:8].norm()))
+    assert last[0] < last[1] < last[2]
+
+
+@given(seed=seeds)
 def test_speed_bounds_scale_whole_rows(seed: int) -> None:
     J, e, xdot_d, q = tasks(seed)
     free = InverseKinematics()(J, e, xdot_d, q)
@@ -137,8 +174,16 @@ def test_refusals() -> None:
                 InverseKinematics(**{name: value})
     with pytest.raises(ValueRangeError, match="epsilon must be positive"):
         InverseKinematics(epsilon=0.0)
+    for value in ([1.0, -1.0, 1.0], [1.0, float("nan"), 1.0]):
+        with pytest.raises(ValueRangeError, match="null_weights must be zero or positive"):
+            InverseKinematics(null_weights=torch.tensor(value))
+    with pytest.raises(ValueRangeError, match=r"null_bends is not finite at index \(1,\)"):
+        InverseKinematics(null_bends=torch.tensor([0.0, float("inf"), 0.0]))
     ik = InverseKinematics()
     J, e, xdot_d, q = tasks(0)
+    for name in ("null_weights", "null_bends"):
+        with pytest.raises(ShapeError, match=rf"{name} must have shape \(\.\.\., 3\), got \(2,\)"):
+            InverseKinematics(**{name: torch.ones(2).double()})(J, e, xdot_d, q)
     with pytest.raises(ShapeError, match="J_hat must have shape"):
         ik(J[:, :2], e, xdot_d, q)
     with pytest.raises(ShapeError, match="e must have shape"):

@@ -21,6 +21,9 @@ def test_elongations_and_bends() -> None:
     assert REPEATED.on_elongations(Q[:2]).tolist() == [0, 0, 1, 0, 0, 2]
     assert WHOLE.on_elongations(Q[:2]).tolist() == [0, 0, 1, 0, 2]
     assert WHOLE.on_elongations(Q[:4].view(2, 2)).tolist() == [[0, 0, 1, 0, 2], [0, 0, 3, 0, 4]]
+    assert CONSTANT_CURVATURE.on_bends(Q[:2]).tolist() == [1, 1, 0, 2, 2, 0]
+    assert REPEATED.on_bends(Q[:2]).tolist() == [1, 0, 0, 2, 0, 0]
+    assert WHOLE.on_bends(Q[:4].view(2, 2)).tolist() == [[1, 1, 0, 0, 0], [3, 3, 0, 0, 0]]
 
 
 def test_only_driven_columns_stay() -> None:
