@@ -197,7 +197,6 @@ class Builder:
             bend_bound=k.bend_bound,
             elongation_bound=k.elongation_bound,
             residual_law=residual_law(c.residual, feedback, self.first_estimate(), gains),
-            smoothed=c.velocity_filter.smooth,
         )
 
     def _reach(self, reach: Setting | None) -> Setting | None:

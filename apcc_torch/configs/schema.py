@@ -82,12 +82,11 @@ class FeedbackConfig:
 
 @dataclass
 class VelocityFilterConfig:
-    """The Savitzky-Golay filter, which velocity the regressor uses, and whether q_bar is shown smoothed."""
+    """The Savitzky-Golay filter and which velocity the regressor uses."""
 
     window: int = 15
     order: int = 2
     velocity: str = "measured"
-    smooth: bool = False
 
 
 @dataclass

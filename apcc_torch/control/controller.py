@@ -12,8 +12,8 @@ from apcc_torch.control.length_bank import BankEvidence, LengthBank
 from apcc_torch.control.residual_adaptation import Evidence, ResidualLaw
 from apcc_torch.control.signals import Command, ControllerState, Measurement, Target
 from apcc_torch.errors import ValueRangeError
-from apcc_torch.estimation.savitzky_golay import SavitzkyGolay, SavitzkyGolayState
-from apcc_torch.estimation.state_feedback import Feedback, Inference, StateFeedback
+from apcc_torch.estimation.savitzky_golay import SavitzkyGolay
+from apcc_torch.estimation.state_feedback import Inference, StateFeedback
 from apcc_torch.model.kinematic_model import KinematicModel, Placed
 from apcc_torch.model.tendons import TendonRouting
 from apcc_torch.settings import Setting, check_setting, hold
@@ -49,9 +49,6 @@ class APCCController(nn.Module):
         integration_limit: Longest step that is integrated, s: after a pause the controller goes on, it does not leap.
         residual_law: A law of the sensors' residuals, or a bank of models, added to `law`, whose bounds hold for both;
             None for none.
-        smoothed: Whether `Command.feedback` has the velocity filter's value at the newest stamp for its q_bar, which
-            has less of the sensors' noise, instead of the last fit. The errors beside it stay the fit's. The
-            controller itself goes on with the last fit: what it steers by must not be late.
 
     Raises:
         ValueRangeError: A setting is out of range.
@@ -75,7 +72,6 @@ class APCCController(nn.Module):
         reference_damping: float = 0.0,
         integration_limit: float = 0.1,
         residual_law: ResidualLaw | LengthBank | None = None,
-        smoothed: bool = False,
     ) -> None:
         super().__init__()
         if velocity not in VELOCITIES:
@@ -100,7 +96,6 @@ class APCCController(nn.Module):
         hold(self, bend_bound=bend_bound, elongation_bound=elongation_bound)
         self.reference_damping = check_setting("reference_damping", reference_damping, zero=True)
         self.integration_limit = integration_limit
-        self.smoothed = smoothed
 
     def initial_state(self, q: Tensor, pi_hat: Tensor, time: Tensor | None = None) -> ControllerState:
         """State before the first measurement.
@@ -145,7 +140,7 @@ class APCCController(nn.Module):
         dt = (measurement.time - state.time).clamp(0.0, self.integration_limit).to(pi_hat.dtype)
         inference = self.feedback.infer(state.q_bar, pi_hat, measurement.T, measurement.mask, measurement.angular_mask)
         q_bar = inference.feedback.q_bar
-        filtered, qdot_bar, shown = self._filtered(state, inference.feedback, measurement.time)
+        filtered, qdot_bar = self.velocity_filter(state.velocity_filter, q_bar, measurement.time)
 
         # One chain serves the tip, its Jacobian and that Jacobian's rate.
         sensitive = self.residual_law is not None and self.residual_law.needs_sensitivity
@@ -171,18 +166,7 @@ class APCCController(nn.Module):
             pi_hat = self.law(pi_hat, Y, torch.where(tip_seen.unsqueeze(-1), e, 0.0), dt, other)
         y = self.tendons(q_d - self.reference_damping * qdot_bar, pi_hat)
         later = ControllerState(q_bar, qdot_bar, pi_hat, q_d, qdot, filtered, measurement.time.expand_as(dt), evidence)
-        return later, Command(qdot, q_d, y, e, shown, limits)
-
-    def _filtered(
-        self, state: ControllerState, found: Feedback, time: Tensor
-    ) -> tuple[SavitzkyGolayState, Tensor, Feedback]:
-        """The filter with one more q_bar, its rate qdot_bar (..., n), and the feedback to show."""
-        if not self.smoothed:
-            filtered, qdot_bar = self.velocity_filter(state.velocity_filter, found.q_bar, time)
-            return filtered, qdot_bar, found
-        filtered = self.velocity_filter.push(state.velocity_filter, found.q_bar, time)
-        fit = self.velocity_filter.evaluate(filtered)
-        return filtered, fit.derivative, found._replace(q_bar=fit.value)
+        return later, Command(qdot, q_d, y, e, inference.feedback, limits)
 
     def _solve(
         self,

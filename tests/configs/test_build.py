@@ -49,7 +49,6 @@ def test_controller_takes_its_settings() -> None:
         "velocity_filter.window=21",
         "velocity_filter.order=3",
         "velocity_filter.velocity=commanded",
-        "velocity_filter.smooth=true",
         "controller.bend_bound=2.5",
         "controller.null_weights=[1,2,0.5]",
         "controller.null_bends=[0.1,0,-0.1]",
@@ -59,7 +58,7 @@ def test_controller_takes_its_settings() -> None:
     assert c.law.regressor == "partial" and c.law.rate == 0.2 and c.law.upper is None
     assert c.law.lower is not None and c.law.lower.tolist() == [0.05, 0.1, 0.1]
     assert (c.feedback.mode, c.feedback.max_iterations) == ("position", 9)
-    assert (c.velocity_filter.window, c.velocity_filter.order, c.velocity) == (21, 3, "commanded") and c.smoothed
+    assert (c.velocity_filter.window, c.velocity_filter.order, c.velocity) == (21, 3, "commanded")
     ik = c.inverse_kinematics
     assert ik.null_weights is not None and ik.null_weights.tolist() == [1.0, 2.0, 0.5]
     assert ik.null_bends is not None and ik.null_bends.tolist() == [0.1, 0.0, -0.1]

@@ -160,29 +160,6 @@ def test_velocity_filter_sees_the_estimates_and_their_stamps() -> None:
     torch.testing.assert_close(state.velocity_filter.times[0], torch.tensor([0.02, 0.05, 0.06, 0.08, 0.09]).double())
 
 
-def test_a_smoothed_estimate_is_shown_and_not_steered_by() -> None:
-    backbone = PCCBackbone(3, HANGING_BASE)
-    q, _, target = scene(64)
-    plain, smooth = controller(adaptive=False), controller(adaptive=False, smoothed=True)
-    plain.velocity_filter = smooth.velocity_filter = SavitzkyGolay(window=9, order=1)
-    one, other = plain.initial_state(q, PI), smooth.initial_state(q, PI)
-    rng = generator(2)
-    T = backbone.pose(q, PI, *decouple(PI.cumsum(0), PI))
-    for k in range(1, 10):
-        noisy = T.clone()
-        noisy[..., :3, 3] += 1e-3 * normal((64, 3, 3), torch.float64, rng)
-        one, seen = plain(one, Measurement(noisy, stamp(0.01 * k)), target)
-        other, shown = smooth(other, Measurement(noisy, stamp(0.01 * k)), target)
-        for a, b in zip(leaves(one), leaves(other), strict=True):
-            torch.testing.assert_close(a, b, rtol=0, atol=1e-10)
-        torch.testing.assert_close(shown.feedback.q_bar, smooth.velocity_filter.evaluate(other.velocity_filter).value)
-        torch.testing.assert_close(shown.qdot, seen.qdot)
-        torch.testing.assert_close(shown.feedback.linear_error, seen.feedback.linear_error)
-    # A line through nine samples has sqrt(17 / 45) of their noise at the last of them.
-    raw, less = (c.feedback.q_bar - q for c in (seen, shown))
-    assert float(less.std() / raw.std()) == pytest.approx((17 / 45) ** 0.5, rel=0.15)
-
-
 def test_measured_tip_and_its_absence() -> None:
     q, T, target = scene(4)
     c = controller()
