@@ -94,8 +94,8 @@ class InverseKinematics(nn.Module):
             check_setting("null_weights", check_tensor("null_weights", null_weights, (None,)), zero=True)
         if null_bends is not None:
             check_finite("null_bends", check_tensor("null_bends", null_bends, (None,)))
-        hold_rows(self, null_weights=(null_weights, 1), null_bends=(null_bends, 1))
-        hold_rows(self, K=(gain_matrix("K", K, 3), 2))
+        K = gain_matrix("K", K, 3)
+        hold_rows(self, K=(K, 2), null_weights=(null_weights, 1), null_bends=(null_bends, 1))
         for name, value in {"damping": damping, "null_gain": null_gain}.items():
             check_setting(name, value, zero=True)
         for name, bound in {"epsilon": epsilon, "bend_rate": bend_rate, "length_rate": length_rate}.items():
@@ -130,16 +130,16 @@ class InverseKinematics(nn.Module):
         return self.bounded(qdot)
 
     def descent(self, q: Tensor) -> Tensor:
-        """grad_Psi (..., n) of Eq. (16) at q (..., n): minus the null gain times the gradient of the smoothed Psi."""
-        sections = q[..., self.coordinates.elongations].shape[-1]
+        """grad_Psi (..., n) of Eq. (16) at q (..., n): minus the null gain times the gradient of the smoothed Psi.
+
+        With `null_bends`, their growth too.
+        """
         for name, each in {"null_weights": self.null_weights, "null_bends": self.null_bends}.items():
             if each is not None:
-                check_tensor(name, each, (sections,))
+                check_tensor(name, each, (q[..., self.coordinates.elongations].shape[-1],))
         slope = elongation_gradient(q, self.epsilon, self.coordinates, self.null_weights)
         down = aligned(-self.null_gain, 1) * slope
-        if self.null_bends is not None:
-            down = down + self.coordinates.on_bends(self.null_bends.to(q)) * q
-        return down
+        return down if self.null_bends is None else down + self.coordinates.on_bends(self.null_bends.to(q)) * q
 
     def bounded(self, qdot: Tensor) -> Tensor:
         """qdot (..., n), each row over a bound scaled whole."""

@@ -109,19 +109,20 @@ class Coordinates:
 
     def on_elongations(self, values: Tensor) -> Tensor:
         """(..., n) with values (..., n_b) at the elongations and zero elsewhere."""
-        many = sum(c.stretches for c in self.pattern)
-        parts = iter([values] if many == 1 else values.unflatten(-1, (-1, many)).unbind(-1))
-        zero = torch.zeros_like(values if many == 1 else values[..., ::many])
-        return torch.stack([next(parts) if c.stretches else zero for c in self.pattern], dim=-1).flatten(-2)
+        return self._spread(values, lambda c: c.stretches)
 
     def on_bends(self, values: Tensor) -> Tensor:
         """(..., n) with values (..., n_b) at the bends of their sections and zero elsewhere."""
+        return self._spread(values, lambda c: c in (BEND_X, BEND_Y))
+
+    def _spread(self, values: Tensor, holds: Callable[[Coordinate], bool]) -> Tensor:
+        """(..., n) with values (..., n_b), one a section, where `holds`, and zero elsewhere."""
         many = sum(c.stretches for c in self.pattern)
-        of_section = values.unflatten(-1, (-1, many)).unbind(-1)
+        of_section = [values] if many == 1 else values.unflatten(-1, (-1, many)).unbind(-1)
         zero, section, entries = torch.zeros_like(of_section[0]), 0, []
         for c in self.pattern:
-            entries.append(of_section[section] if c in (BEND_X, BEND_Y) else zero)
-            section += c.stretches
+            entries.append(of_section[section] if holds(c) else zero)
+            section += c.stretches  # a section's elongation is its last coordinate
         return torch.stack(entries, dim=-1).flatten(-2)
 
     def per_unit(self, angle: Setting, length: Setting, n: int, like: Tensor) -> Tensor:
