@@ -15,6 +15,7 @@ import pytest
 import torch
 
 from apcc_torch.errors import DataError
+from apcc_torch.experiments import redrawing
 from apcc_torch.report import __main__ as program
 from apcc_torch.report import animation, run_table
 from apcc_torch.report.backbone_drawing import Snapshots
@@ -43,10 +44,10 @@ def test_the_film_shows_the_run(
     def film(path: Path, shots: Snapshots, readouts: dict[str, torch.Tensor], max_frames: int) -> None:
         filmed.update(shots=shots, readouts=readouts)
 
-    monkeypatch.setattr(program, "save_animation", film)
-    monkeypatch.setattr(program, "INSTANTS", instants)
-    program.draw_anew(real_runs / "kinematic" / "1", tmp_path, True, True)
-    _, arrays = program.load_run(real_runs / "kinematic" / "1")
+    monkeypatch.setattr(redrawing, "save_animation", film)
+    monkeypatch.setattr(redrawing, "INSTANTS", instants)
+    redrawing.draw_anew(real_runs / "kinematic" / "1", tmp_path, True, True)
+    _, arrays = redrawing.load_run(real_runs / "kinematic" / "1")
     # A short run is shown whole, a long one thinned, its last instant included.
     kept = slice(0, None) if instants == 600 else slice(2, None, 3)
     assert len(arrays["time"]) == 21 and filmed["shots"].time.tolist() == arrays["time"][kept].tolist()
@@ -58,7 +59,7 @@ def test_the_film_shows_the_run(
 
 
 def test_a_dynamic_run_is_drawn_with_its_film(real_runs: Path, tmp_path: Path) -> None:
-    program.draw_anew(real_runs / "dynamic_single" / "0", tmp_path, True, True)
+    redrawing.draw_anew(real_runs / "dynamic_single" / "0", tmp_path, True, True)
     names = {path.stem for path in (tmp_path / "figures").iterdir()}
     assert {"stroboscopic", "shape_error", "parameters", "sensors", "animation"} <= names
 
@@ -97,14 +98,14 @@ def test_the_command_writes_its_files_and_ranks(runs: Path, capsys: pytest.Captu
 
 def test_without_ffmpeg_the_film_is_a_gif(runs: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(animation, "imageio_ffmpeg", None)
-    monkeypatch.setattr(program, "FILM_FRAMES", 3)
+    monkeypatch.setattr(redrawing, "FILM_FRAMES", 3)
     *_, film = program.illustrate(runs / "kinematic" / "0", True)
     assert film.film and film.uri.startswith("data:image/gif;base64,R0lGOD")
 
 
 def test_figures_of_the_run_are_used_as_they_are(runs: Path) -> None:
     folder = runs / "kinematic" / "0"
-    program.draw_anew(folder, folder, True, False)
+    redrawing.draw_anew(folder, folder, True, False)
     (folder / "trajectory.npz").unlink()
     assert [picture.name for picture in program.illustrate(folder, False)] == ["figure_7", "figure_8", "figure_9"]
     with pytest.raises(DataError, match=r"trajectory\.npz cannot be read"):
