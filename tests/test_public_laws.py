@@ -26,6 +26,8 @@ from apcc_torch import (
     decouple,
     shape_error,
 )
+from apcc_torch.control.task_integral import TaskIntegral
+from apcc_torch.estimation.pose_filter import PoseFilter, PoseFilterState
 from apcc_torch.model.abscissae import section_fractions
 from apcc_torch.simulation.metrics import mapping_error
 from arms import HANGING_BASE, PI, configurations
@@ -86,6 +88,7 @@ def make(*kinds: str) -> MakeInputs:
             "payload": lambda: uniform(shape, 0.0, 0.5, dtype, rng),
             "filter": lambda: filter_state(shape, dtype, rng),
             "state": lambda: controller_state(q, lengths, dtype, rng),
+            "smooth_state": lambda: smooth_state(q, lengths, dtype, rng),
         }
         return tuple(draws[kind]() for kind in kinds)
 
@@ -104,18 +107,30 @@ def controller_state(q: Tensor, lengths: Tensor, dtype: torch.dtype, rng: torch.
     return state._replace(velocity_filter=filter_state(q.shape[:-1], dtype, rng))
 
 
-def controller() -> APCCController:
+def smooth_state(q: Tensor, lengths: Tensor, dtype: torch.dtype, rng: torch.Generator) -> Any:
+    state = SMOOTH_CONTROLLER.initial_state(q.to(dtype), lengths.to(dtype))
+    expected = BACKBONE.pose(1.1 * q, lengths, *decouple(SENSORS, lengths)).to(dtype)
+    age = uniform((*q.shape[:-1], 3, 2), 0.0, 0.1, dtype, rng)
+    return state._replace(
+        velocity_filter=filter_state(q.shape[:-1], dtype, rng),
+        expected=PoseFilterState(expected, age),
+        integral=1e-3 * normal((*q.shape[:-1], 3), dtype, rng),
+    )
+
+
+def controller(**parts: Any) -> APCCController:
     law = AdaptiveLaw(3, 0.5, lower=PI - 0.05, upper=PI + 0.1, rate=0.5, reach=0.5)
     null = {"null_weights": 2.0 * PI, "null_bends": 0.1 * PI}
     ik = InverseKinematics(bend_rate=2.0, length_rate=0.5, **null)
-    return APCCController(BACKBONE, feedback("pose"), FILTER, ik, law, bend_bound=1.0, elongation_bound=0.1)
+    return APCCController(BACKBONE, feedback("pose"), FILTER, ik, law, bend_bound=1.0, elongation_bound=0.1, **parts)
 
 
 CONTROLLER = controller()
+SMOOTH_CONTROLLER = controller(pose_filter=PoseFilter(0.1, 0.05), integral=TaskIntegral(1.0, 0.1))
 
 
-def control_step(state: Any, T: Tensor, time: Tensor, tip: Tensor, x_d: Tensor, xdot_d: Tensor) -> Any:
-    return CONTROLLER(state, Measurement(T, time, tip=tip), Target(x_d, xdot_d))
+def control_step(of: APCCController) -> Op:
+    return lambda state, T, time, tip, x_d, xdot_d: of(state, Measurement(T, time, tip=tip), Target(x_d, xdot_d))
 
 
 class Law(NamedTuple):
@@ -154,7 +169,10 @@ LAWS: dict[str, Law] = {
     "inverse_kinematics": Law(CONTROLLER.inverse_kinematics, make("J", "x", "x", "q"), (0, 1, 2, 3), 10.0),
     "adaptive_law": Law(CONTROLLER.law, make("L0", "Y", "x", "time"), (0, 1, 2, 3)),
     "total_regressor": Law(CONTROLLER.regressor, make("q", "qdot", "L0"), (0, 1, 2), 10.0),
-    "controller": Law(control_step, make("state", "T", "time", "x", "x", "x"), (1, 2, 3, 4, 5), 10.0),
+    "controller": Law(control_step(CONTROLLER), make("state", "T", "time", "x", "x", "x"), (1, 2, 3, 4, 5), 10.0),
+    "smooth_controller": Law(
+        control_step(SMOOTH_CONTROLLER), make("smooth_state", "T", "time", "x", "x", "x"), (1, 2, 3, 4, 5), 10.0
+    ),
     "tendon_fractions": Law(per_dtype(routing, TendonRouting.fractions), make("L0")),
     "tendon_matrix": Law(per_dtype(routing, TendonRouting.matrix), make("L0")),
     "tendon_lengths": Law(per_dtype(routing, TendonRouting.lengths), make("q", "L0"), (0, 1)),

@@ -12,7 +12,9 @@ from torch import Tensor
 from apcc_torch.control.adaptation import AdaptiveLaw
 from apcc_torch.control.inverse_kinematics import InverseKinematics
 from apcc_torch.control.pid import TendonPID
+from apcc_torch.control.task_integral import TaskIntegral
 from apcc_torch.errors import ValueRangeError
+from apcc_torch.estimation.pose_filter import PoseFilter
 from apcc_torch.estimation.savitzky_golay import SavitzkyGolay
 from apcc_torch.estimation.state_feedback import StateFeedback
 from apcc_torch.lie import se3
@@ -102,6 +104,23 @@ def filtered(**settings: Any) -> Tensor:
     return slope
 
 
+def carried(**settings: Any) -> Tensor:
+    backbone, X = PCCBackbone(3, HANGING_BASE), rows(0.1, 0.35, 0.6)
+    made, lengths = PoseFilter(**{"angular_time": 0.1, "linear_time": 0.1, **settings}), PI.expand(ROWS, 3)
+    q = 0.3 * randn(ROWS, 9) * rows(1.0, 1.0, 0.05).repeat(3)
+    seen, dt = torch.ones(ROWS, 3, dtype=torch.bool), rows(0.02, 0.02, 0.02)
+    state = made.initial_state(q, 3)
+    for k in range(3):
+        moved = (1.0 + 0.1 * k) * q
+        state, T = made(state, backbone.pose(moved, lengths, *decouple(X, lengths)), seen, seen, dt)
+        state = made.moved(state, StateFeedback(backbone, X), moved, lengths, 0.1 * q)
+    return T.flatten(-3)
+
+
+def integrated(**settings: Any) -> Tensor:
+    return TaskIntegral(**settings)(1e-3 * randn(ROWS, 3), 1e-3 * randn(ROWS, 3, seed=1), rows(0.1, 0.1, 0.1))
+
+
 def sensed(**settings: Any) -> Tensor:
     made = PoseSensors(**settings)
     T = torch.eye(4, dtype=torch.float64).expand(ROWS, 2, 4, 4)
@@ -139,6 +158,11 @@ def sine(omega: Any) -> Tensor:
         (inferred, "settled_step", (1e-9, 0.5, 9.0)),
         (hierarchical, "linear_threshold", (1e-6, 1e-3, 1.0)),
         (filtered, "window", (3, 5, 9)),
+        (carried, "angular_time", (0.0, 0.05, 0.5)),
+        (carried, "linear_time", (0.0, 0.05, 0.5)),
+        (carried, "follow", (0.0, 0.7, 1.0)),
+        (integrated, "gain", (0.0, 0.5, 2.0)),
+        (integrated, "reach", (1e-4, 1e-3, 1e-2)),
         (sensed, "position_noise", (1e-3, 1e-2, 1.0)),
         (sensed, "angular_noise", (1e-3, 1e-2, 1.0)),
         (sensed, "dropout", (0.1, 0.5, 0.9)),

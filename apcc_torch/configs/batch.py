@@ -24,10 +24,11 @@ ROWS: dict[str, frozenset[str]] = {
         {"angular_weight", "linear_threshold", "angular_threshold", "bend_step", "length_step", "damping"}
         | {"settled_step"}
     ),
+    "pose_filter": frozenset({"angular_time", "linear_time", "follow"}),
     "velocity_filter": frozenset({"window"}),
     "controller": frozenset(
         {"K", "gamma", "damping", "null_gain", "epsilon", "null_weights", "null_bends"}
-        | {"bend_rate", "length_rate", "bend_bound", "elongation_bound"}
+        | {"integral_gain", "integral_reach", "bend_rate", "length_rate", "bend_bound", "elongation_bound"}
     ),
     "adaptation": frozenset({"gain_scale", "lower", "upper", "rate", "normalisation", "dead_zone", "reach"}),
     "experiment": frozenset({"r_0", "A", "omega", "setpoints", "payloads"}),

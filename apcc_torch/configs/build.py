@@ -16,7 +16,9 @@ from apcc_torch.control.adaptation import AdaptiveLaw
 from apcc_torch.control.controller import APCCController
 from apcc_torch.control.inverse_kinematics import InverseKinematics
 from apcc_torch.control.pid import TendonPID
+from apcc_torch.control.task_integral import TaskIntegral
 from apcc_torch.errors import ConfigError
+from apcc_torch.estimation.pose_filter import PoseFilter
 from apcc_torch.estimation.savitzky_golay import SavitzkyGolay
 from apcc_torch.estimation.state_feedback import StateFeedback
 from apcc_torch.model.backbone import HANGING
@@ -25,7 +27,7 @@ from apcc_torch.model.friction import TendonTransmission
 from apcc_torch.model.kinematic_model import KinematicModel
 from apcc_torch.model.stiffness import scaled_stiffness
 from apcc_torch.model.tendons import TendonRouting, rack_routing
-from apcc_torch.settings import Setting, aligned
+from apcc_torch.settings import Setting, aligned, is_used
 from apcc_torch.simulation.plant import Plant
 from apcc_torch.simulation.sensors import PoseSensors
 from apcc_torch.simulation.trajectory import SetPoint, SineTrajectory
@@ -197,7 +199,21 @@ class Builder:
             bend_bound=k.bend_bound,
             elongation_bound=k.elongation_bound,
             residual_law=residual_law(c.residual, feedback, self.first_estimate(), gains),
+            pose_filter=self._pose_filter(),
+            integral=self._integral(),
         )
+
+    def _integral(self) -> TaskIntegral | None:
+        """Integral action on the task error; None where its gain is zero."""
+        k = self.config.controller
+        integral = TaskIntegral(k.integral_gain, k.integral_reach)
+        return integral if is_used(integral.gain) else None
+
+    def _pose_filter(self) -> PoseFilter | None:
+        """The filter of the sensors' poses; None where neither time is above zero."""
+        p = self.config.pose_filter
+        poses = PoseFilter(p.angular_time, p.linear_time, p.follow)
+        return poses if is_used(poses.angular_time) or is_used(poses.linear_time) else None
 
     def _reach(self, reach: Setting | None) -> Setting | None:
         """`adaptation.reach` as the law takes it; of several runs (P, 1, n_b), the reach of all sections last."""

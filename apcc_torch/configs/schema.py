@@ -81,6 +81,15 @@ class FeedbackConfig:
 
 
 @dataclass
+class PoseFilterConfig:
+    """The filter of the sensors' poses before algorithm 2."""
+
+    angular_time: float = 0.0
+    linear_time: float = 0.0
+    follow: float = 0.7
+
+
+@dataclass
 class VelocityFilterConfig:
     """The Savitzky-Golay filter and which velocity the regressor uses."""
 
@@ -102,6 +111,8 @@ class ControllerConfig:
     epsilon: float = 5e-3
     null_weights: list[float] | None = None
     null_bends: list[float] | None = None
+    integral_gain: float = 0.0
+    integral_reach: float = 1e-3
     bend_rate: float | None = None
     length_rate: float | None = None
     bend_bound: float | None = None
@@ -228,6 +239,7 @@ class ArmConfig:
     plant: PlantConfig = field(default_factory=PlantConfig)
     sensors: SensorsConfig = field(default_factory=SensorsConfig)
     feedback: FeedbackConfig = field(default_factory=FeedbackConfig)
+    pose_filter: PoseFilterConfig = field(default_factory=PoseFilterConfig)
     velocity_filter: VelocityFilterConfig = field(default_factory=VelocityFilterConfig)
     controller: ControllerConfig = field(default_factory=ControllerConfig)
     adaptation: AdaptationConfig = field(default_factory=AdaptationConfig)

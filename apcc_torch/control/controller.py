@@ -11,7 +11,9 @@ from apcc_torch.control.inverse_kinematics import InverseKinematics
 from apcc_torch.control.length_bank import BankEvidence, LengthBank
 from apcc_torch.control.residual_adaptation import Evidence, ResidualLaw
 from apcc_torch.control.signals import Command, ControllerState, Measurement, Target
+from apcc_torch.control.task_integral import TaskIntegral
 from apcc_torch.errors import ValueRangeError
+from apcc_torch.estimation.pose_filter import PoseFilter, PoseFilterState
 from apcc_torch.estimation.savitzky_golay import SavitzkyGolay
 from apcc_torch.estimation.state_feedback import Inference, StateFeedback
 from apcc_torch.model.kinematic_model import KinematicModel, Placed
@@ -49,6 +51,8 @@ class APCCController(nn.Module):
         integration_limit: Longest step that is integrated, s: after a pause the controller goes on, it does not leap.
         residual_law: A law of the sensors' residuals, or a bank of models, added to `law`, whose bounds hold for both;
             None for none.
+        pose_filter: Of the sensors' poses, before all that sees them but the tip's error; None for none.
+        integral: Integral action beside K e of Eq. (14); None for none.
 
     Raises:
         ValueRangeError: A setting is out of range.
@@ -72,6 +76,8 @@ class APCCController(nn.Module):
         reference_damping: float = 0.0,
         integration_limit: float = 0.1,
         residual_law: ResidualLaw | LengthBank | None = None,
+        pose_filter: PoseFilter | None = None,
+        integral: TaskIntegral | None = None,
     ) -> None:
         super().__init__()
         if velocity not in VELOCITIES:
@@ -90,6 +96,8 @@ class APCCController(nn.Module):
         self.inverse_kinematics = inverse_kinematics
         self.law = law
         self.residual_law = residual_law
+        self.pose_filter = pose_filter
+        self.integral = integral
         self.routing = routing
         self.adaptive = adaptive
         self.velocity = velocity
@@ -115,9 +123,11 @@ class APCCController(nn.Module):
         stamp = torch.zeros_like(q[..., 0]) if time is None else time.to(q.device).expand(batch)
         still = torch.zeros_like(q)
         evidence = None if self.residual_law is None else self.residual_law.initial_evidence(q, pi_hat)
-        return ControllerState(
-            q, still, pi_hat, q, still, self.velocity_filter.initial_state(q, stamp), stamp, evidence
-        )
+        filtered = self.velocity_filter.initial_state(q, stamp)
+        poses = self.pose_filter
+        expected = None if poses is None else poses.initial_state(q, self.feedback.abscissae.shape[-1])
+        integral = None if self.integral is None else still[..., :3]
+        return ControllerState(q, still, pi_hat, q, still, filtered, stamp, evidence, expected, integral)
 
     def forward(
         self, state: ControllerState, measurement: Measurement, target: Target
@@ -138,7 +148,8 @@ class APCCController(nn.Module):
         batch = self._check(state, measurement, target)
         pi_hat = state.pi_hat
         dt = (measurement.time - state.time).clamp(0.0, self.integration_limit).to(pi_hat.dtype)
-        inference = self.feedback.infer(state.q_bar, pi_hat, measurement.T, measurement.mask, measurement.angular_mask)
+        expected, T = self._filtered(state, measurement, dt)
+        inference = self.feedback.infer(state.q_bar, pi_hat, T, measurement.mask, measurement.angular_mask)
         q_bar = inference.feedback.q_bar
         filtered, qdot_bar = self.velocity_filter(state.velocity_filter, q_bar, measurement.time)
 
@@ -150,7 +161,12 @@ class APCCController(nn.Module):
             chain, followed = self.backbone.chain(q_bar.expand(*batch, q_bar.shape[-1]), pi_hat), None
         x, tip_seen = self._measured_tip(measurement, chain.tip)
         e = target.x_d - x
-        qdot, limits = self._solve(state, measurement, target, q_bar, chain, e, dt)
+        integral = state.integral
+        if self.integral is not None and integral is not None:
+            # Where the tip is not measured e is the model's own, and nothing to be integrated.
+            integral = self.integral(integral, torch.where(tip_seen.unsqueeze(-1), e, 0.0), dt)
+        wanted = e if integral is None else e + integral
+        qdot, limits = self._solve(state, measurement, target, q_bar, chain, wanted, dt)
         q_d = self._bounded(state.q_d + dt.unsqueeze(-1) * qdot)
         # A step that is not finite is not taken: one bad measurement or target must not stay in the integral.
         q_d = torch.where(torch.isfinite(q_d), q_d, state.q_d)
@@ -159,14 +175,24 @@ class APCCController(nn.Module):
             Y = self._regressor_on(chain, followed, q_bar, qdot_bar if self.velocity == "measured" else qdot, batch)
             other = None
             if self.residual_law is not None:
-                other, evidence = self._residual_velocity(
-                    inference, followed, measurement.T, dt.expand(batch), evidence
-                )
+                other, evidence = self._residual_velocity(inference, followed, T, dt.expand(batch), evidence)
             # Where the tip is not measured e is the model's own, and teaches nothing of the model.
             pi_hat = self.law(pi_hat, Y, torch.where(tip_seen.unsqueeze(-1), e, 0.0), dt, other)
         y = self.tendons(q_d - self.reference_damping * qdot_bar, pi_hat)
-        later = ControllerState(q_bar, qdot_bar, pi_hat, q_d, qdot, filtered, measurement.time.expand_as(dt), evidence)
+        if self.pose_filter is not None and expected is not None:
+            expected = self.pose_filter.moved(expected, self.feedback, q_bar, state.pi_hat, q_d - state.q_d)
+        stamp = measurement.time.expand_as(dt)
+        later = ControllerState(q_bar, qdot_bar, pi_hat, q_d, qdot, filtered, stamp, evidence, expected, integral)
         return later, Command(qdot, q_d, y, e, inference.feedback, limits)
+
+    def _filtered(
+        self, state: ControllerState, measurement: Measurement, dt: Tensor
+    ) -> tuple[PoseFilterState | None, Tensor]:
+        """The pose filter's state, and the poses (..., k, 4, 4) that algorithm 2 sees."""
+        if self.pose_filter is None or state.expected is None:
+            return None, measurement.T
+        usable, oriented = self.feedback.used(measurement.T, measurement.mask, measurement.angular_mask)
+        return self.pose_filter(state.expected, measurement.T, usable, oriented, dt)
 
     def _solve(
         self,

@@ -9,6 +9,7 @@ from torch import Tensor
 from apcc_torch.control.length_bank import BankEvidence
 from apcc_torch.control.residual_adaptation import Evidence
 from apcc_torch.control.tasks import TaskTarget
+from apcc_torch.estimation.pose_filter import PoseFilterState
 from apcc_torch.estimation.savitzky_golay import SavitzkyGolayState
 from apcc_torch.estimation.state_feedback import Feedback
 
@@ -77,6 +78,8 @@ class ControllerState(NamedTuple):
     velocity_filter: State of the Savitzky-Golay filter.
     time: (...) stamp of the last measurement, s.
     evidence: What a `ResidualLaw` with memory or a `LengthBank` remembers; None without one.
+    expected: Where a `PoseFilter` expects the sensors; None without one.
+    integral: (..., 3) z of a `TaskIntegral`, m; None without one.
     """
 
     q_bar: Tensor
@@ -87,3 +90,5 @@ class ControllerState(NamedTuple):
     velocity_filter: SavitzkyGolayState
     time: Tensor
     evidence: Evidence | BankEvidence | None = None
+    expected: PoseFilterState | None = None
+    integral: Tensor | None = None

@@ -56,6 +56,8 @@ def test_what_agrees_stays_and_what_differs_is_a_number_a_run() -> None:
     assert two.controller.gamma == 24.5 and two.adaptation.lower == [0.079, 0.191, 0.18]
     bends = [changed("dynamic_run_2", f"controller.null_bends=[0,{b},0]") for b in (0.1, 0.2)]
     assert stacked(bends).controller.null_bends.tolist() == [[[0, 0.1, 0]], [[0, 0.2, 0]]]  # type: ignore[union-attr]
+    times = [changed("dynamic_run_2", f"pose_filter.angular_time={t}") for t in (0.0, 0.04)]
+    assert stacked(times).pose_filter.angular_time.tolist() == [[0.0], [0.04]]  # type: ignore[attr-defined]
     windows = stacked([changed("kinematic", f"velocity_filter.window={n}") for n in (5, 9)]).velocity_filter.window
     assert windows.dtype == torch.int64 and windows.tolist() == [[5], [9]]  # type: ignore[attr-defined]
 

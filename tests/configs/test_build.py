@@ -52,6 +52,9 @@ def test_controller_takes_its_settings() -> None:
         "controller.bend_bound=2.5",
         "controller.null_weights=[1,2,0.5]",
         "controller.null_bends=[0.1,0,-0.1]",
+        "controller.integral_gain=0.5",
+        "controller.integral_reach=2.0e-3",
+        "pose_filter.angular_time=0.04",
     )
     c = build.controller()
     torch.testing.assert_close(c.law.gamma, torch.diag(torch.tensor([0.5, 1.0, 1.5], dtype=torch.float64)))
@@ -62,6 +65,11 @@ def test_controller_takes_its_settings() -> None:
     ik = c.inverse_kinematics
     assert ik.null_weights is not None and ik.null_weights.tolist() == [1.0, 2.0, 0.5]
     assert ik.null_bends is not None and ik.null_bends.tolist() == [0.1, 0.0, -0.1]
+    assert c.integral is not None and (c.integral.gain, c.integral.reach) == (0.5, 2e-3)
+    assert c.pose_filter is not None
+    assert (c.pose_filter.angular_time, c.pose_filter.linear_time, c.pose_filter.follow) == (0.04, 0.0, 0.7)
+    plain = builder().controller()
+    assert plain.integral is None and plain.pose_filter is None
     assert c.bend_bound == 2.5 and c.routing is not None and c.routing.n_tendons == 9
     assert build.controller(adaptive=False).adaptive is False and build.controller(adaptive=True).adaptive is True
 

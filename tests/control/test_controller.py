@@ -13,7 +13,9 @@ from apcc_torch.control.adaptation import AdaptiveLaw
 from apcc_torch.control.controller import APCCController
 from apcc_torch.control.inverse_kinematics import InverseKinematics
 from apcc_torch.control.signals import Command, ControllerState, Measurement, Target
+from apcc_torch.control.task_integral import TaskIntegral
 from apcc_torch.errors import DtypeError, ShapeError, ValueRangeError
+from apcc_torch.estimation.pose_filter import PoseFilter
 from apcc_torch.estimation.savitzky_golay import SavitzkyGolay
 from apcc_torch.estimation.state_feedback import FeedbackStatus, StateFeedback
 from apcc_torch.lie import se3, so3
@@ -379,3 +381,47 @@ def test_refusals() -> None:
     ):  # fmt: skip
         with pytest.raises(error, match=message):
             c(state, measurement, wanted)
+
+
+def test_the_pose_filter_is_before_algorithm_2_and_the_integral_beside_the_error() -> None:
+    q, T, target = scene(4)
+    c = controller(pose_filter=PoseFilter(0.1, 0.05), integral=TaskIntegral(0.8, reach=0.1))
+    assert c.pose_filter is not None and c.integral is not None
+    state = c.initial_state(q + 0.05, PI_HAT)
+    expected, z, usable = state.expected, torch.zeros(4, 3, dtype=torch.float64), torch.ones(4, 3, dtype=torch.bool)
+    assert expected is not None
+    for k in range(1, 4):
+        T = c.backbone.pose((1.0 + 0.05 * k) * q, PI, *decouple(PI.cumsum(0), PI))
+        later, command = c(state, Measurement(T, stamp(0.01 * k)), target)
+        expected, seen = c.pose_filter(expected, T, usable, usable, stamp(0.01))
+        estimate = c.feedback(state.q_bar, state.pi_hat, seen)
+        e = target.x_d - T[:, -1, :3, 3]
+        z = c.integral(z, e, stamp(0.01))
+        J_hat = c.backbone.tip_jacobian(estimate.q_bar, state.pi_hat)
+        qdot = c.inverse_kinematics(J_hat, e + z, target.xdot_d, estimate.q_bar)
+        expected = c.pose_filter.moved(expected, c.feedback, estimate.q_bar, state.pi_hat, 0.01 * qdot)
+        assert later.expected is not None and later.integral is not None
+        for have, want in (
+            (command.e, e),
+            (command.qdot, qdot),
+            (command.feedback.q_bar, estimate.q_bar),
+            (later.integral, z),
+            (later.expected.T, expected.T),
+            (later.expected.age, expected.age),
+        ):
+            torch.testing.assert_close(have, want, rtol=0, atol=1e-12)
+        state = later
+
+
+def test_a_tip_that_is_not_seen_is_not_integrated() -> None:
+    q, T, target = scene(3)
+    c = controller(integral=TaskIntegral(0.8, reach=1.0), pose_filter=PoseFilter(0.1))
+    state = c.initial_state(q, PI_HAT)
+    state, _ = c(state, Measurement(T, stamp(0.01)), target)
+    mask = torch.ones(3, 3, dtype=torch.bool)
+    mask[1, -1] = False
+    later, command = c(state, Measurement(T, stamp(0.02), mask), target)
+    assert state.integral is not None and later.integral is not None
+    assert torch.equal(later.integral[1], state.integral[1])
+    assert bool((later.integral[[0, 2]] != state.integral[[0, 2]]).any(-1).all())
+    assert bool(command.q_d.isfinite().all())

@@ -13,6 +13,8 @@ from apcc_torch.control.length_bank import LengthBank
 from apcc_torch.control.pid import TendonPID
 from apcc_torch.control.residual_adaptation import ResidualLaw
 from apcc_torch.control.signals import Measurement, Target
+from apcc_torch.control.task_integral import TaskIntegral
+from apcc_torch.estimation.pose_filter import PoseFilter
 from apcc_torch.estimation.sensor_curve import SensorCurve
 from apcc_torch.model.abscissae import decouple
 from apcc_torch.model.backbone import HANGING
@@ -106,6 +108,7 @@ BANK = LengthBank(
         ("pose", {}, 1e-12),
         ("position", {"residual_law": CURVE}, 1e-12),
         ("position", {"residual_law": BANK}, 1e-12),
+        ("pose", {"pose_filter": PoseFilter(0.05, 0.01), "integral": TaskIntegral(1.0, 0.2)}, 1e-12),
         # Its second least-squares problem is nearly singular: one rounding of its input moves the eager step as much.
         ("hierarchical", {"velocity": "commanded"}, 1e-10),
     ],

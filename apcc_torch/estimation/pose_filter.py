@@ -1,0 +1,127 @@
+"""A filter of the sensors' poses that does not lag: the commanded motion carries them on from reading to reading.
+
+Algorithm 2 has no memory, so what its sensors add to a pose goes through it into q_bar, and from there, through a stiff
+null-space term, into the arm. A low-pass of the poses would take the noise away and be late, which a stiff loop does
+not bear. Here the poses first move as the model says that they do, and only what that leaves is filtered.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor, nn
+
+from apcc_torch.estimation.state_feedback import StateFeedback
+from apcc_torch.lie import se3, so3
+from apcc_torch.model.abscissae import located
+from apcc_torch.settings import Setting, aligned, check_setting, hold
+
+LONG_AGO = 1e9
+"""s since the last reading of a sensor that was never read."""
+
+AT_ONCE = 1e-9
+"""s, a time constant that leaves nothing of the prediction."""
+
+
+class PoseFilterState(NamedTuple):
+    """Where the sensors are expected.
+
+    T: (..., k, 4, 4) their poses at the next reading, as far as the commanded motion tells.
+    age: (..., k, 2) s since orientation and position were last read; `LONG_AGO` before the first reading.
+    """
+
+    T: Tensor
+    age: Tensor
+
+
+class PoseFilter(nn.Module):
+    """Complementary filter of sensor poses: T = T_pred exp(alpha log(T_pred^-1 T_meas)), part by part, with
+
+        T_pred <- T exp(follow J_s(q_bar, pi_hat) dq_d),    alpha = 1 - exp(-age / time).
+
+    The correction is that of a constant-gain filter on SE(3) (Mahony, Hamel and Pflimlin 2008), the prediction that of
+    the model whose tendons have moved by dq_d. An arm that is soft does not move by all of it, which `follow` says.
+
+    A part that is not measured is not changed in the reading: its masks stay what they are. The prediction of it goes
+    on, and when it is measured again, the longer it was not, the less counts the prediction.
+
+    Args:
+        angular_time: Time constant of the orientations, s; 0 for the measured ones.
+        linear_time: Of the positions, s; 0 for the measured ones.
+        follow: How much of its commanded motion the arm is taken to make at once, from 0 to 1.
+
+    Raises:
+        ValueRangeError: A time or `follow` is negative or not finite.
+    """
+
+    angular_time: Setting
+    linear_time: Setting
+    follow: Setting
+
+    def __init__(self, angular_time: Setting = 0.04, linear_time: Setting = 0.0, follow: Setting = 0.7) -> None:
+        super().__init__()
+        times = {"angular_time": angular_time, "linear_time": linear_time}
+        for name, value in {**times, "follow": follow}.items():
+            check_setting(name, value, zero=True)
+        hold(self, **times, follow=follow)
+
+    def initial_state(self, q: Tensor, k: int) -> PoseFilterState:
+        """Before the first reading of k sensors, of the batch of q (..., n)."""
+        T = torch.eye(4, dtype=q.dtype, device=q.device).expand(*q.shape[:-1], k, 4, 4)
+        return PoseFilterState(T, torch.full_like(T[..., :2, 0], LONG_AGO))
+
+    def forward(
+        self, state: PoseFilterState, T: Tensor, usable: Tensor, oriented: Tensor, dt: Tensor
+    ) -> tuple[PoseFilterState, Tensor]:
+        """The filtered poses, with a state that is still where the sensors are: `moved` carries it on.
+
+        Args:
+            state: From `initial_state` or `moved`.
+            T: (..., k, 4, 4) measured poses.
+            usable: (..., k) bool, sensors that are measured.
+            oriented: (..., k) bool, sensors whose orientations are.
+            dt: (...) s since the last reading.
+
+        Returns:
+            The state, and the poses (..., k, 4, 4); of sensors that are not usable, T as it is.
+        """
+        age = state.age + dt[..., None, None]
+        expected, p_expected = state.T[..., :3, :3], state.T[..., :3, 3]
+        seen, placed = oriented[..., None, None], usable[..., None]
+        R = torch.where(seen, T[..., :3, :3], expected)
+        p = torch.where(placed, T[..., :3, 3], p_expected)
+        # From the measurement back: a product of many predictions would not stay a rotation.
+        off = so3.log(expected.mT @ R)
+        R_new = R @ so3.exp(-self._left(age[..., :1], self.angular_time) * off)
+        p_new = p + self._left(age[..., 1:], self.linear_time) * (p_expected - p)
+        read = torch.stack((oriented, usable), dim=-1)
+        later = PoseFilterState(se3.pose(R_new, p_new), torch.where(read, 0.0, age))
+        filtered = se3.pose(torch.where(seen, R_new, T[..., :3, :3]), p_new)
+        return later, torch.where(placed.unsqueeze(-1), filtered, T)
+
+    def moved(
+        self, state: PoseFilterState, feedback: StateFeedback, q: Tensor, pi: Tensor, change: Tensor
+    ) -> PoseFilterState:
+        """The state at the next reading, once the command has changed.
+
+        Args:
+            state: From `forward`.
+            feedback: Algorithm 2, whose model and sensors these are.
+            q: (..., n) q_bar.
+            pi: (..., n_b) pi_hat, m.
+            change: (..., n) dq_d.
+        """
+        model = feedback.backbone
+        X = feedback.abscissae.to(pi)
+        points = model.material_points(pi, *located(X.expand(*pi.shape[:-1], X.shape[-1]), pi))
+        J = model.chain_to(q, points).body_jacobian()
+        twist = (J @ (aligned(self.follow, 1) * change)[..., None, :, None]).squeeze(-1)
+        return state._replace(T=state.T @ se3.exp(twist))
+
+    @staticmethod
+    def _left(age: Tensor, time: Setting) -> Tensor:
+        """1 - alpha (..., k, 1), the share of the prediction."""
+        constant = aligned(time, 2)
+        slow = constant.clamp(min=AT_ONCE) if isinstance(constant, Tensor) else max(constant, AT_ONCE)
+        return torch.exp(-age / slow)
