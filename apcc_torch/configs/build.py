@@ -185,6 +185,7 @@ class Builder:
             backbone.coordinates,
             given("controller.null_weights", k.null_weights),
             given("controller.null_bends", k.null_bends),
+            k.null_step,
         )
         gains = given("residual.gains", c.residual.gains)
         return APCCController(

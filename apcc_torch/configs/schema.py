@@ -111,6 +111,7 @@ class ControllerConfig:
     epsilon: float = 5e-3
     null_weights: list[float] | None = None
     null_bends: list[float] | None = None
+    null_step: float | None = None
     integral_gain: float = 0.0
     integral_reach: float = 1e-3
     bend_rate: float | None = None

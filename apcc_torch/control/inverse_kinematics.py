@@ -61,6 +61,9 @@ class InverseKinematics(nn.Module):
         null_weights: (..., n_b) weights of the sections' elongations in the Psi that is lowered; None for 1, Eq. (50).
         null_bends: (..., n_b) beta, 1/s: grad_Psi has beta_i d_i on the bends d_i of section i too. As far as the tip
             leaves it free, a section with beta > 0 bends more and one with beta < 0 less; None for 0, Eq. (50).
+        null_step: Largest share of the elongations that one period takes away; None for no bound. Near zero the term
+            decays at up to null_gain max(null_weights) / epsilon, and held over a period it overshoots where that
+            times the period comes near 1: a slow rate then feeds back the sensors' noise. The term is scaled whole.
 
     Raises:
         ShapeError: null_weights or null_bends has not one entry a section.
@@ -75,6 +78,7 @@ class InverseKinematics(nn.Module):
     length_rate: Setting | None
     null_weights: Tensor | None
     null_bends: Tensor | None
+    null_step: Setting | None
 
     def __init__(
         self,
@@ -87,6 +91,7 @@ class InverseKinematics(nn.Module):
         coordinates: Coordinates = CONSTANT_CURVATURE,
         null_weights: Tensor | None = None,
         null_bends: Tensor | None = None,
+        null_step: Setting | None = None,
     ) -> None:
         super().__init__()
         self.coordinates = coordinates
@@ -98,12 +103,13 @@ class InverseKinematics(nn.Module):
         hold_rows(self, K=(K, 2), null_weights=(null_weights, 1), null_bends=(null_bends, 1))
         for name, value in {"damping": damping, "null_gain": null_gain}.items():
             check_setting(name, value, zero=True)
-        for name, bound in {"epsilon": epsilon, "bend_rate": bend_rate, "length_rate": length_rate}.items():
+        bounds = {"bend_rate": bend_rate, "length_rate": length_rate, "null_step": null_step}
+        for name, bound in {"epsilon": epsilon, **bounds}.items():
             if bound is not None:
                 check_setting(name, bound)
-        hold(self, damping=damping, null_gain=null_gain, epsilon=epsilon, bend_rate=bend_rate, length_rate=length_rate)
+        hold(self, damping=damping, null_gain=null_gain, epsilon=epsilon, **bounds)
 
-    def forward(self, J_hat: Tensor, e: Tensor, xdot_d: Tensor, q: Tensor) -> Tensor:
+    def forward(self, J_hat: Tensor, e: Tensor, xdot_d: Tensor, q: Tensor, dt: Tensor | None = None) -> Tensor:
         """Configuration velocity qdot (..., n), rad/s and m/s.
 
         Args:
@@ -111,6 +117,7 @@ class InverseKinematics(nn.Module):
             e: (..., 3) position error x_d - x, m.
             xdot_d: (..., 3) desired velocity, m/s.
             q: (..., n) configuration at which Psi is lowered.
+            dt: (...) s for which the velocity is held, for `null_step`; None where it is not held.
 
         Raises:
             ShapeError, DtypeError: The arguments do not fit each other.
@@ -124,22 +131,28 @@ class InverseKinematics(nn.Module):
         K = self.K.to(dtype=e.dtype, device=e.device)
         J_pinv = damped_pseudo_inverse(J_hat, aligned(self.damping, 2))
         velocity = xdot_d.unsqueeze(-1) + K @ e.unsqueeze(-1)
-        descent = self.descent(q).unsqueeze(-1)
+        descent = self.descent(q, dt).unsqueeze(-1)
         # Eq. (16), with J^+ (v - J descent) + descent for J^+ v + (I - J^+ J) descent: one product fewer.
         qdot = (J_pinv @ (velocity - J_hat @ descent) + descent).squeeze(-1)
         return self.bounded(qdot)
 
-    def descent(self, q: Tensor) -> Tensor:
+    def descent(self, q: Tensor, dt: Tensor | None = None) -> Tensor:
         """grad_Psi (..., n) of Eq. (16) at q (..., n): minus the null gain times the gradient of the smoothed Psi.
 
-        With `null_bends`, their growth too.
+        With `null_bends`, their growth too; with `null_step` and dt (...) s, as slow as that asks for.
         """
         for name, each in {"null_weights": self.null_weights, "null_bends": self.null_bends}.items():
             if each is not None:
                 check_tensor(name, each, (q[..., self.coordinates.elongations].shape[-1],))
         slope = elongation_gradient(q, self.epsilon, self.coordinates, self.null_weights)
         down = aligned(-self.null_gain, 1) * slope
-        return down if self.null_bends is None else down + self.coordinates.on_bends(self.null_bends.to(q)) * q
+        if self.null_bends is not None:
+            down = down + self.coordinates.on_bends(self.null_bends.to(q)) * q
+        if self.null_step is None or dt is None:
+            return down
+        heaviest = 1.0 if self.null_weights is None else self.null_weights.to(q).amax(-1)
+        fastest = self.null_gain * heaviest / self.epsilon * dt
+        return down * (self.null_step / fastest.clamp(min=1e-12)).clamp(max=1.0).unsqueeze(-1)
 
     def bounded(self, qdot: Tensor) -> Tensor:
         """qdot (..., n), each row over a bound scaled whole."""

@@ -113,6 +113,27 @@ def test_preferred_shape_is_the_descent_of_one_cost(seed: int) -> None:
     torch.testing.assert_close(apply(J, moved), torch.zeros_like(e), rtol=0, atol=1e-10)
 
 
+def test_a_stiff_null_space_does_not_overshoot_its_period() -> None:
+    q = configurations((4,), 3, torch.float64, generator(0), elongation=0.002)
+    J, e, xdot_d = torch.zeros(4, 3, 9).double(), torch.zeros(4, 3).double(), torch.zeros(4, 3).double()
+    dt, shares = torch.tensor(0.02).double(), []
+    for step in (None, 0.5):
+        w = torch.tensor([1.0, 0.5, 2.0]).double()
+        ik = InverseKinematics(damping=1.0, null_gain=10.0, epsilon=0.2, null_weights=w, null_step=step)
+        moved = q + dt * ik(J, e, xdot_d, q, dt)
+        shares.append(moved[:, 2::3] / q[:, 2::3])
+    # Near zero the term is linear: of section 3, 10 m/s 2 / 0.2 m 0.02 s = 2 of its elongation a period.
+    wanted = 1.0 - 2.0 * torch.tensor([0.5, 0.25, 1.0]).double()
+    torch.testing.assert_close(shares[0], wanted.expand(4, 3), rtol=0, atol=1e-3)
+    torch.testing.assert_close(shares[1], 1.0 + (wanted.expand(4, 3) - 1.0) / 4.0, rtol=0, atol=1e-3)
+    # Where the term is slow enough, or not held, nothing is changed.
+    held = InverseKinematics(null_gain=10.0, epsilon=0.2, null_step=0.5)
+    free = InverseKinematics(null_gain=10.0, epsilon=0.2)(J, e, xdot_d, q)
+    assert torch.equal(held(J, e, xdot_d, q, 0.4 * dt), free)
+    assert torch.equal(held(J, e, xdot_d, q, 0.0 * dt), free)
+    assert torch.equal(held(J, e, xdot_d, q), free)
+
+
 def test_bends_grow_or_shrink_where_the_tip_leaves_them_free() -> None:
     backbone = PCCBackbone(3)
     start = configurations((), 3, torch.float64, generator(0), elongation=0.02)
