@@ -86,7 +86,7 @@ class PoseFilterConfig:
 
     angular_time: float = 0.0
     linear_time: float = 0.0
-    follow: float = 0.7
+    follow: float = 0.8
 
 
 @dataclass

@@ -49,7 +49,7 @@ class PoseFilter(nn.Module):
     Args:
         angular_time: Time constant of the orientations, s; 0 for the measured ones.
         linear_time: Of the positions, s; 0 for the measured ones.
-        follow: How much of its commanded motion the arm is taken to make at once, from 0 to 1.
+        follow: How much of its commanded motion the arm is taken to make at once; 1 for all of it.
 
     Raises:
         ValueRangeError: A time or `follow` is negative or not finite.
@@ -59,7 +59,7 @@ class PoseFilter(nn.Module):
     linear_time: Setting
     follow: Setting
 
-    def __init__(self, angular_time: Setting = 0.04, linear_time: Setting = 0.0, follow: Setting = 0.7) -> None:
+    def __init__(self, angular_time: Setting = 0.05, linear_time: Setting = 0.0, follow: Setting = 0.8) -> None:
         super().__init__()
         times = {"angular_time": angular_time, "linear_time": linear_time}
         for name, value in {**times, "follow": follow}.items():

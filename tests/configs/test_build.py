@@ -69,7 +69,7 @@ def test_controller_takes_its_settings() -> None:
     assert ik.null_step == 0.4
     assert c.integral is not None and (c.integral.gain, c.integral.reach) == (0.5, 2e-3)
     assert c.pose_filter is not None
-    assert (c.pose_filter.angular_time, c.pose_filter.linear_time, c.pose_filter.follow) == (0.04, 0.0, 0.7)
+    assert (c.pose_filter.angular_time, c.pose_filter.linear_time, c.pose_filter.follow) == (0.04, 0.0, 0.8)
     plain = builder().controller()
     assert plain.integral is None and plain.pose_filter is None
     assert c.bend_bound == 2.5 and c.routing is not None and c.routing.n_tendons == 9
