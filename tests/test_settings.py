@@ -119,7 +119,8 @@ def carried(**settings: Any) -> Tensor:
     for k in range(3):
         moved = (1.0 + 0.1 * k) * q
         state, T = made(state, backbone.pose(moved, lengths, *decouple(X, lengths)), seen, seen, dt)
-        state = made.moved(state, StateFeedback(backbone, X), moved, lengths, 0.1 * q)
+        points = backbone.material_points(lengths, *decouple(X.expand(ROWS, 3), lengths))
+        state = made.moved(state, backbone, points, moved, 0.1 * q)
     return T.flatten(-3)
 
 

@@ -161,10 +161,11 @@ class APCCController(nn.Module):
             chain, followed = self.backbone.chain(q_bar.expand(*batch, q_bar.shape[-1]), pi_hat), None
         x, tip_seen = self._measured_tip(measurement, chain.tip)
         e = target.x_d - x
+        # Where the tip is not measured e is the model's own: it is not integrated, and teaches nothing of the model.
+        e_seen = torch.where(tip_seen.unsqueeze(-1), e, 0.0)
         integral = state.integral
         if self.integral is not None and integral is not None:
-            # Where the tip is not measured e is the model's own, and nothing to be integrated.
-            integral = self.integral(integral, torch.where(tip_seen.unsqueeze(-1), e, 0.0), dt)
+            integral = self.integral(integral, e_seen, dt)
         wanted = e if integral is None else e + integral
         qdot, limits = self._solve(state, measurement, target, q_bar, chain, wanted, dt)
         q_d = self._bounded(state.q_d + dt.unsqueeze(-1) * qdot)
@@ -176,11 +177,10 @@ class APCCController(nn.Module):
             other = None
             if self.residual_law is not None:
                 other, evidence = self._residual_velocity(inference, followed, T, dt.expand(batch), evidence)
-            # Where the tip is not measured e is the model's own, and teaches nothing of the model.
-            pi_hat = self.law(pi_hat, Y, torch.where(tip_seen.unsqueeze(-1), e, 0.0), dt, other)
+            pi_hat = self.law(pi_hat, Y, e_seen, dt, other)
         y = self.tendons(q_d - self.reference_damping * qdot_bar, pi_hat)
         if self.pose_filter is not None and expected is not None:
-            expected = self.pose_filter.moved(expected, self.feedback, q_bar, state.pi_hat, q_d - state.q_d)
+            expected = self.pose_filter.moved(expected, self.backbone, inference.problem.points, q_bar, q_d - state.q_d)
         stamp = measurement.time.expand_as(dt)
         later = ControllerState(q_bar, qdot_bar, pi_hat, q_d, qdot, filtered, stamp, evidence, expected, integral)
         return later, Command(qdot, q_d, y, e, inference.feedback, limits)

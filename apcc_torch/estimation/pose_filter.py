@@ -12,9 +12,8 @@ from typing import NamedTuple
 import torch
 from torch import Tensor, nn
 
-from apcc_torch.estimation.state_feedback import StateFeedback
 from apcc_torch.lie import se3, so3
-from apcc_torch.model.abscissae import located
+from apcc_torch.model.kinematic_model import KinematicModel, MaterialPoints
 from apcc_torch.settings import Setting, aligned, check_setting, hold
 
 LONG_AGO = 1e9
@@ -101,21 +100,18 @@ class PoseFilter(nn.Module):
         return later, torch.where(placed.unsqueeze(-1), filtered, T)
 
     def moved(
-        self, state: PoseFilterState, feedback: StateFeedback, q: Tensor, pi: Tensor, change: Tensor
+        self, state: PoseFilterState, backbone: KinematicModel, points: MaterialPoints, q: Tensor, change: Tensor
     ) -> PoseFilterState:
         """The state at the next reading, once the command has changed.
 
         Args:
             state: From `forward`.
-            feedback: Algorithm 2, whose model and sensors these are.
+            backbone: The model.
+            points: (..., k) where on it the sensors are.
             q: (..., n) q_bar.
-            pi: (..., n_b) pi_hat, m.
             change: (..., n) dq_d.
         """
-        model = feedback.backbone
-        X = feedback.abscissae.to(pi)
-        points = model.material_points(pi, *located(X.expand(*pi.shape[:-1], X.shape[-1]), pi))
-        J = model.chain_to(q, points).body_jacobian()
+        J = backbone.chain_to(q, points).body_jacobian()
         twist = (J @ (aligned(self.follow, 1) * change)[..., None, :, None]).squeeze(-1)
         return state._replace(T=state.T @ se3.exp(twist))
 

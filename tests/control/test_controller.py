@@ -399,7 +399,9 @@ def test_the_pose_filter_is_before_algorithm_2_and_the_integral_beside_the_error
         z = c.integral(z, e, stamp(0.01))
         J_hat = c.backbone.tip_jacobian(estimate.q_bar, state.pi_hat)
         qdot = c.inverse_kinematics(J_hat, e + z, target.xdot_d, estimate.q_bar)
-        expected = c.pose_filter.moved(expected, c.feedback, estimate.q_bar, state.pi_hat, 0.01 * qdot)
+        pi_hat = state.pi_hat
+        points = c.backbone.material_points(pi_hat, *decouple(PI.cumsum(0).expand(4, 3), pi_hat))
+        expected = c.pose_filter.moved(expected, c.backbone, points, estimate.q_bar, 0.01 * qdot)
         assert later.expected is not None and later.integral is not None
         for have, want in (
             (command.e, e),

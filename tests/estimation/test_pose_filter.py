@@ -8,16 +8,15 @@ from torch import Tensor
 
 from apcc_torch.errors import ValueRangeError
 from apcc_torch.estimation.pose_filter import PoseFilter, PoseFilterState
-from apcc_torch.estimation.state_feedback import StateFeedback
 from apcc_torch.lie import se3, so3
 from apcc_torch.model.abscissae import decouple
 from apcc_torch.model.backbone import PCCBackbone
+from apcc_torch.model.kinematic_model import MaterialPoints
 from arms import HANGING_BASE, PI, configurations
 from laws import FLOATS, generator, normal
 
 BACKBONE = PCCBackbone(3, HANGING_BASE)
 SENSORS = PI.cumsum(0)
-ALGORITHM_2 = StateFeedback(BACKBONE, SENSORS)
 DT = torch.tensor(0.02, dtype=torch.float64)
 
 
@@ -27,6 +26,11 @@ def seen(rows: int = 2, k: int = 3) -> Tensor:
 
 def poses(q: Tensor) -> Tensor:
     return BACKBONE.pose(q, PI, *decouple(SENSORS, PI))
+
+
+def points(rows: int = 2) -> MaterialPoints:
+    lengths = PI.expand(rows, 3)
+    return BACKBONE.material_points(lengths, *decouple(SENSORS.expand(rows, 3), lengths))
 
 
 def angle(A: Tensor, B: Tensor) -> Tensor:
@@ -74,10 +78,7 @@ def test_an_arm_that_follows_its_command_is_followed_without_lag() -> None:
         errors = [float(angle(T, poses(q)).max()) for _, T in pairs]
         off = [float((T - poses(q))[..., :3, 3].abs().max()) for _, T in pairs]
         change = DT * rate
-        states = [
-            f.moved(s, ALGORITHM_2, q, PI.expand(2, 3), change)
-            for f, (s, _) in zip((following, late), pairs, strict=True)
-        ]
+        states = [f.moved(s, BACKBONE, points(), q, change) for f, (s, _) in zip((following, late), pairs, strict=True)]
         q = q + change
     # What is left is of second order in one step; the filter that stands still is late by about rate times time.
     assert errors[0] < 5e-3 < 0.1 < errors[1]
@@ -94,7 +95,7 @@ def test_noise_falls_by_the_gain_of_a_first_order_filter() -> None:
     many = torch.ones(200, 3, dtype=torch.bool)
     for _ in range(40):
         state, T = poses_filter(state, noisy(poses(q), spread, rng), many, many, DT)
-        state = poses_filter.moved(state, ALGORITHM_2, q, PI.expand(200, 3), torch.zeros_like(q))
+        state = poses_filter.moved(state, BACKBONE, points(200), q, torch.zeros_like(q))
     alpha = 1.0 - float(torch.exp(-DT / time))
     left = (alpha / (2.0 - alpha)) ** 0.5
     measured = float(angle(T, poses(q)).square().mean().sqrt()) / (spread * 3**0.5)
@@ -113,7 +114,7 @@ def test_a_sensor_that_is_missing_is_left_as_it_is_and_soon_believed_again() -> 
     T[0, 1] = torch.nan
     for _ in range(10):
         state, filtered = poses_filter(state, T, usable, usable, DT)
-        state = poses_filter.moved(state, ALGORITHM_2, q, PI.expand(2, 3), torch.zeros_like(q))
+        state = poses_filter.moved(state, BACKBONE, points(), q, torch.zeros_like(q))
     assert torch.equal(filtered[0, 1].isnan(), T[0, 1].isnan()) and filtered[usable].isfinite().all()
     torch.testing.assert_close(state.T, before, rtol=0, atol=1e-12)
     assert float(state.age[0, 1, 0]) == pytest.approx(0.2)
@@ -152,7 +153,7 @@ def test_the_world_may_be_turned() -> None:
         here, a = poses_filter(here, T, seen(), seen(), DT)
         there, b = poses_filter(there, G @ T, seen(), seen(), DT)
         torch.testing.assert_close(G @ a, b, rtol=0, atol=1e-12)
-        here, there = (poses_filter.moved(s, ALGORITHM_2, q, PI.expand(2, 3), 0.02 * q) for s in (here, there))
+        here, there = (poses_filter.moved(s, BACKBONE, points(), q, 0.02 * q) for s in (here, there))
 
 
 def test_rotations_stay_rotations() -> None:
@@ -160,13 +161,14 @@ def test_rotations_stay_rotations() -> None:
     q = scene(4).float()
     poses_filter = PoseFilter(2.0, 0.0, follow=1.0)
     state = poses_filter.initial_state(q, 3)
-    feedback = StateFeedback(PCCBackbone(3, HANGING_BASE.float()), SENSORS.float())
+    backbone, lengths = PCCBackbone(3, HANGING_BASE.float()), PI.float().expand(4, 3)
+    at = backbone.material_points(lengths, *decouple(SENSORS.float().expand(4, 3), lengths))
     many = torch.ones(4, 3, dtype=torch.bool)
     for k in range(2000):
         swing = 0.01 * torch.sin(torch.tensor(0.1 * k)) * q
         T = noisy(poses(q.double()), 0.01, rng).float()
         state, filtered = poses_filter(state, T, many, many, DT.float())
-        state = poses_filter.moved(state, feedback, q, PI.float().expand(4, 3), swing)
+        state = poses_filter.moved(state, backbone, at, q, swing)
     R = filtered[..., :3, :3]
     torch.testing.assert_close(R.mT @ R, torch.eye(3).expand_as(R), rtol=0, atol=1e-5)
 
@@ -177,7 +179,7 @@ def test_gradients() -> None:
     state, _ = poses_filter(poses_filter.initial_state(q, 3), poses(q), seen(1), seen(1), DT)
 
     def step(q: Tensor, change: Tensor) -> Tensor:
-        later = poses_filter.moved(state, ALGORITHM_2, q, PI.expand(1, 3), change)
+        later = poses_filter.moved(state, BACKBONE, points(1), q, change)
         return poses_filter(later, poses(1.1 * q), seen(1), seen(1), DT)[1]
 
     inputs = (q.clone().requires_grad_(), (0.02 * q).requires_grad_())
