@@ -113,7 +113,7 @@ def smooth_state(q: Tensor, lengths: Tensor, dtype: torch.dtype, rng: torch.Gene
     age = uniform((*q.shape[:-1], 3, 2), 0.0, 0.1, dtype, rng)
     return state._replace(
         velocity_filter=filter_state(q.shape[:-1], dtype, rng),
-        expected=PoseFilterState(expected, age),
+        expected=PoseFilterState(expected, age, 0.01 * normal((*q.shape[:-1], 2, 3, 6), dtype, rng)),
         integral=1e-3 * normal((*q.shape[:-1], 3), dtype, rng),
     )
 
@@ -126,7 +126,7 @@ def controller(**parts: Any) -> APCCController:
 
 
 CONTROLLER = controller()
-SMOOTH_CONTROLLER = controller(pose_filter=PoseFilter(0.1, 0.05), integral=TaskIntegral(1.0, 0.1))
+SMOOTH_CONTROLLER = controller(pose_filter=PoseFilter(0.1, 0.05, delay=2), integral=TaskIntegral(1.0, 0.1))
 
 
 def control_step(of: APCCController) -> Op:

@@ -211,10 +211,11 @@ class Builder:
         return integral if is_used(integral.gain) else None
 
     def _pose_filter(self) -> PoseFilter | None:
-        """The filter of the sensors' poses; None where neither time is above zero."""
+        """The filter of the sensors' poses; None where neither a time nor the delay is above zero."""
         p = self.config.pose_filter
-        poses = PoseFilter(p.angular_time, p.linear_time, p.follow)
-        return poses if is_used(poses.angular_time) or is_used(poses.linear_time) else None
+        poses = PoseFilter(p.angular_time, p.linear_time, p.follow, p.delay)
+        used = poses.delay > 0 or is_used(poses.angular_time) or is_used(poses.linear_time)
+        return poses if used else None
 
     def _reach(self, reach: Setting | None) -> Setting | None:
         """`adaptation.reach` as the law takes it; of several runs (P, 1, n_b), the reach of all sections last."""

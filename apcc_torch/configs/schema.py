@@ -87,6 +87,7 @@ class PoseFilterConfig:
     angular_time: float = 0.0
     linear_time: float = 0.0
     follow: float = 0.8
+    delay: int = 0
 
 
 @dataclass

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor, nn
 
+from apcc_torch.errors import ValueRangeError
 from apcc_torch.lie import se3, so3
 from apcc_torch.model.kinematic_model import KinematicModel, MaterialPoints
 from apcc_torch.settings import Setting, aligned, check_setting, hold
@@ -26,12 +27,14 @@ AT_ONCE = 1e-9
 class PoseFilterState(NamedTuple):
     """Where the sensors are expected.
 
-    T: (..., k, 4, 4) their poses at the next reading, as far as the commanded motion tells.
+    T: (..., k, 4, 4) their poses in the next reading, as far as the commanded motion tells.
     age: (..., k, 2) s since orientation and position were last read; `LONG_AGO` before the first reading.
+    since: (..., delay, k, 6) the twists, rad and m, commanded since that reading was taken, the oldest first.
     """
 
     T: Tensor
     age: Tensor
+    since: Tensor
 
 
 class PoseFilter(nn.Module):
@@ -42,6 +45,9 @@ class PoseFilter(nn.Module):
     The correction is that of a constant-gain filter on SE(3) (Mahony, Hamel and Pflimlin 2008), the prediction that of
     the model whose tendons have moved by dq_d. An arm that is soft does not move by all of it, which `follow` says.
 
+    A reading that is `delay` periods old is expected where the arm was then, and its filtered pose is carried on by the
+    motion commanded since, T exp(xi_1) ... exp(xi_delay): the predictor of Smith (1957), with the model for the plant.
+
     A part that is not measured is not changed in the reading: its masks stay what they are. The prediction of it goes
     on, and when it is measured again, the longer it was not, the less counts the prediction.
 
@@ -49,31 +55,38 @@ class PoseFilter(nn.Module):
         angular_time: Time constant of the orientations, s; 0 for the measured ones.
         linear_time: Of the positions, s; 0 for the measured ones.
         follow: How much of its commanded motion the arm is taken to make at once; 1 for all of it.
+        delay: Periods by which a reading is late; 0 for a reading of now.
 
     Raises:
-        ValueRangeError: A time or `follow` is negative or not finite.
+        ValueRangeError: A time or `follow` is negative or not finite, or `delay` is negative.
     """
 
     angular_time: Setting
     linear_time: Setting
     follow: Setting
 
-    def __init__(self, angular_time: Setting = 0.05, linear_time: Setting = 0.0, follow: Setting = 0.8) -> None:
+    def __init__(
+        self, angular_time: Setting = 0.05, linear_time: Setting = 0.0, follow: Setting = 0.8, delay: int = 0
+    ) -> None:
         super().__init__()
         times = {"angular_time": angular_time, "linear_time": linear_time}
         for name, value in {**times, "follow": follow}.items():
             check_setting(name, value, zero=True)
+        if delay < 0:
+            raise ValueRangeError(f"delay must be zero or more periods, got {delay}")
         hold(self, **times, follow=follow)
+        self.delay = delay
 
     def initial_state(self, q: Tensor, k: int) -> PoseFilterState:
         """Before the first reading of k sensors, of the batch of q (..., n)."""
         T = torch.eye(4, dtype=q.dtype, device=q.device).expand(*q.shape[:-1], k, 4, 4)
-        return PoseFilterState(T, torch.full_like(T[..., :2, 0], LONG_AGO))
+        since = torch.zeros(*q.shape[:-1], self.delay, k, 6, dtype=q.dtype, device=q.device)
+        return PoseFilterState(T, torch.full_like(T[..., :2, 0], LONG_AGO), since)
 
     def forward(
         self, state: PoseFilterState, T: Tensor, usable: Tensor, oriented: Tensor, dt: Tensor
     ) -> tuple[PoseFilterState, Tensor]:
-        """The filtered poses, with a state that is still where the sensors are: `moved` carries it on.
+        """The filtered poses of now, with a state that is still where the sensors were: `moved` carries it on.
 
         Args:
             state: From `initial_state` or `moved`.
@@ -95,8 +108,11 @@ class PoseFilter(nn.Module):
         R_new = R @ so3.exp(-self._left(age[..., :1], self.angular_time) * off)
         p_new = p + self._left(age[..., 1:], self.linear_time) * (p_expected - p)
         read = torch.stack((oriented, usable), dim=-1)
-        later = PoseFilterState(se3.pose(R_new, p_new), torch.where(read, 0.0, age))
-        filtered = se3.pose(torch.where(seen, R_new, T[..., :3, :3]), p_new)
+        later = PoseFilterState(se3.pose(R_new, p_new), torch.where(read, 0.0, age), state.since)
+        now = later.T
+        for i in range(self.delay):
+            now = now @ se3.exp(state.since[..., i, :, :])
+        filtered = se3.pose(torch.where(seen, now[..., :3, :3], T[..., :3, :3]), now[..., :3, 3])
         return later, torch.where(placed.unsqueeze(-1), filtered, T)
 
     def moved(
@@ -111,9 +127,17 @@ class PoseFilter(nn.Module):
             q: (..., n) q_bar.
             change: (..., n) dq_d.
         """
-        J = backbone.chain_to(q, points).body_jacobian()
+        chain = backbone.chain_to(q, points)
+        # An orientation that was never read is the model's at the reading: it tells which way the position moves.
+        R = chain.rotation
+        for i in reversed(range(self.delay)):
+            R = R @ so3.exp(-state.since[..., i, :, :3])
+        R = torch.where(state.age[..., 0, None, None] < LONG_AGO, state.T[..., :3, :3], R)
+        J = chain.body_jacobian()
         twist = (J @ (aligned(self.follow, 1) * change)[..., None, :, None]).squeeze(-1)
-        return state._replace(T=state.T @ se3.exp(twist))
+        since = torch.cat((state.since, twist.unsqueeze(-3)), dim=-3)
+        T = se3.pose(R, state.T[..., :3, 3]) @ se3.exp(since[..., 0, :, :])
+        return state._replace(T=T, since=since[..., 1:, :, :])
 
     @staticmethod
     def _left(age: Tensor, time: Setting) -> Tensor:

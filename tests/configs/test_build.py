@@ -70,6 +70,8 @@ def test_controller_takes_its_settings() -> None:
     assert c.integral is not None and (c.integral.gain, c.integral.reach) == (0.5, 2e-3)
     assert c.pose_filter is not None
     assert (c.pose_filter.angular_time, c.pose_filter.linear_time, c.pose_filter.follow) == (0.04, 0.0, 0.8)
+    late = builder("pose_filter.delay=2").controller().pose_filter
+    assert late is not None and (late.delay, late.angular_time, late.linear_time) == (2, 0.0, 0.0)
     plain = builder().controller()
     assert plain.integral is None and plain.pose_filter is None
     assert c.bend_bound == 2.5 and c.routing is not None and c.routing.n_tendons == 9

@@ -85,6 +85,47 @@ def test_an_arm_that_follows_its_command_is_followed_without_lag() -> None:
     assert off[0] < 1e-3 < 0.01 < off[1]
 
 
+@pytest.mark.parametrize("oriented", [True, False])
+@pytest.mark.parametrize("delay", [1, 3])
+def test_late_readings_are_carried_on_to_where_the_arm_is_now(delay: int, oriented: bool) -> None:
+    q, rate = scene(), 0.5 * normal((2, 9), torch.float64, generator(6))
+    rate[:, 2::3] *= 0.1
+    carrying, waiting = PoseFilter(0.0, 0.0, follow=1.0, delay=delay), PoseFilter(0.0, 0.0)
+    turned = seen() if oriented else ~seen()
+    states = [f.initial_state(q, 3) for f in (carrying, waiting)]
+    past = [poses(q)] * delay
+    T_now, T_late = poses(q), poses(q)
+    for k in range(12):
+        past.append(poses(q))
+        reading = past[k].clone()
+        if not oriented:
+            reading[..., :3, :3] = torch.nan
+        (first, T_now), (second, T_late) = (
+            f(s, reading, seen(), turned, DT) for f, s in zip((carrying, waiting), states, strict=True)
+        )
+        if oriented:  # what the reading was is kept as it was, beside what has happened since
+            assert torch.equal(first.T, past[k])
+        change = DT * rate
+        states = [f.moved(s, BACKBONE, points(), q, change) for f, s in ((carrying, first), (waiting, second))]
+        q_now, q = q, q + change
+    off, late = (float((T - poses(q_now))[..., :3, 3].norm(dim=-1).max()) for T in (T_now, T_late))
+    assert off < 0.1 * late
+    assert bool(T_now[..., :3, :3].isfinite().all()) is oriented
+    if oriented:
+        assert float(angle(T_now, poses(q_now)).max()) < 0.1 * float(angle(T_late, poses(q_now)).max())
+
+
+def test_positions_that_come_without_orientations_move_as_the_model_says() -> None:
+    q, change = scene(), 1e-3 * normal((2, 9), torch.float64, generator(7))
+    poses_filter = PoseFilter(0.0, 0.0, follow=1.0)
+    state, _ = poses_filter(poses_filter.initial_state(q, 3), poses(q), seen(), ~seen(), DT)
+    state = poses_filter.moved(state, BACKBONE, points(), q, change)
+    moved = state.T[..., :3, 3] - poses(q)[..., :3, 3]
+    want = (poses(q + change) - poses(q))[..., :3, 3]
+    torch.testing.assert_close(moved, want, rtol=0, atol=1e-5)
+    assert float(want.norm(dim=-1).min()) > 1e-4
+
+
 def test_noise_falls_by_the_gain_of_a_first_order_filter() -> None:
     rng = generator(3)
     spread, time = 8.7e-3, 0.1
@@ -175,7 +216,7 @@ def test_rotations_stay_rotations() -> None:
 
 def test_gradients() -> None:
     q = scene(1)
-    poses_filter = PoseFilter(0.1, 0.05)
+    poses_filter = PoseFilter(0.1, 0.05, delay=1)
     state, _ = poses_filter(poses_filter.initial_state(q, 3), poses(q), seen(1), seen(1), DT)
 
     def step(q: Tensor, change: Tensor) -> Tensor:
@@ -192,7 +233,12 @@ def test_bad_settings(name: str) -> None:
         PoseFilter(**{name: -1.0})
 
 
+def test_a_negative_delay() -> None:
+    with pytest.raises(ValueRangeError, match=r"^delay must be zero or more periods, got -1$"):
+        PoseFilter(delay=-1)
+
+
 def test_state_is_a_tuple_of_tensors() -> None:
-    state = PoseFilter().initial_state(torch.zeros(5, 9), 2)
+    state = PoseFilter(delay=3).initial_state(torch.zeros(5, 9), 2)
     assert isinstance(state, PoseFilterState)
-    assert state.T.shape == (5, 2, 4, 4) and state.age.shape == (5, 2, 2)
+    assert state.T.shape == (5, 2, 4, 4) and state.age.shape == (5, 2, 2) and state.since.shape == (5, 3, 2, 6)

@@ -108,7 +108,7 @@ BANK = LengthBank(
         ("pose", {}, 1e-12),
         ("position", {"residual_law": CURVE}, 1e-12),
         ("position", {"residual_law": BANK}, 1e-12),
-        ("pose", {"pose_filter": PoseFilter(0.05, 0.01), "integral": TaskIntegral(1.0, 0.2)}, 1e-12),
+        ("pose", {"pose_filter": PoseFilter(0.05, 0.01, delay=2), "integral": TaskIntegral(1.0, 0.2)}, 1e-12),
         # Its second least-squares problem is nearly singular: one rounding of its input moves the eager step as much.
         ("hierarchical", {"velocity": "commanded"}, 1e-10),
     ],
