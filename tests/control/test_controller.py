@@ -385,7 +385,7 @@ def test_refusals() -> None:
 
 def test_the_pose_filter_is_before_algorithm_2_and_the_integral_beside_the_error() -> None:
     q, T, target = scene(4)
-    c = controller(pose_filter=PoseFilter(0.1, 0.05), integral=TaskIntegral(0.8, reach=0.1))
+    c = controller(pose_filter=PoseFilter(0.1, 0.05, delay=1), integral=TaskIntegral(0.8, reach=0.1))
     assert c.pose_filter is not None and c.integral is not None
     state = c.initial_state(q + 0.05, PI_HAT)
     expected, z, usable = state.expected, torch.zeros(4, 3, dtype=torch.float64), torch.ones(4, 3, dtype=torch.bool)
