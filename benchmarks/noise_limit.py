@@ -10,68 +10,67 @@ The named set-point with the largest payload, under `dynamic_run_2_bank_noisy`, 
 
 from __future__ import annotations
 
+import argparse
+
 import torch
 from run_settings import run_settings
 from torch import Tensor
+from tqdm import tqdm
 
 from apcc_torch.configs.batch import stacked
 from apcc_torch.configs.build import Builder
+from apcc_torch.estimation.state_feedback import StateFeedback
 from apcc_torch.experiments.dynamic import curves, one_of, simulate, thinned
-from apcc_torch.experiments.paper_limits import INSTANTS, length_grid
-from apcc_torch.lie import se3
+from apcc_torch.experiments.paper_limits import INSTANTS, length_grid, patient_feedback
+from apcc_torch.experiments.paper_outcomes import single_row
 from apcc_torch.model.abscissae import decouple
-from apcc_torch.report.dynamic import RunCurves
 from apcc_torch.simulation.metrics import orientation_error
+from apcc_torch.simulation.sensors import PoseSensors
 
-NOISY = ("experiment=dynamic_run_2_bank_noisy", "compile=aot")
 SHARES = (1.0, 0.5, 0.3, 0.2, 0.1)
 TIMES = (0.01, 0.03, 0.05, 0.1, 0.2, 0.5)
 
 
-def single(c: RunCurves, payloads: int) -> float:
-    """Mean angular residual, crad, at the named set-point with the largest payload."""
-    return 1e2 * float(c.angular[:, payloads - 1].mean())
-
-
-def left(share: float, q: Tensor, pi_hat: Tensor, T: Tensor) -> tuple[float, float]:
-    """Mean angular residual (crad) with a share of the noise: of pi_hat, and the least that rest lengths leave."""
-    config = run_settings(*NOISY)
-    build = Builder(config)
-    feedback = build.controller(adaptive=False).feedback
-    feedback.max_iterations = 25
-    spread = share * torch.tensor([config.sensors.angular_noise] * 3 + [config.sensors.position_noise] * 3)
-    noise = spread.to(T) * torch.randn(*T.shape[:-2], 6, dtype=T.dtype, generator=torch.Generator().manual_seed(0))
-    seen = T @ se3.exp(noise)
+def residuals(feedback: StateFeedback, q: Tensor, lengths: list[Tensor], seen: Tensor, T: Tensor) -> Tensor:
+    """(G, ...) mean angles (crad) from the model that sees `seen` to the true poses T, for each of G rest lengths."""
     found = []
-    for pi in (pi_hat, *length_grid(config, build)):
-        pi = pi.expand_as(pi_hat)
-        q_bar = feedback(q, pi, seen).q_bar
+    for pi in lengths:
+        q_bar = feedback(q, pi.expand(*q.shape[:-1], pi.shape[-1]), seen).q_bar
         error = orientation_error(feedback.backbone, q_bar, pi, feedback.abscissae, T[..., :3, :3])
         found.append(1e2 * error.mean(-1))
-    return float(found[0].mean()), float(torch.stack(found).amin(0).mean())
+    return torch.stack(found)
 
 
 def main() -> None:
     """Prints both tables."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--compile", default="aot", help="off where there is no g++ (default: %(default)s)")
+    noisy = ("experiment=dynamic_run_2_bank_noisy", f"compile={parser.parse_args().compile}")
     torch.set_num_threads(1)
-    configs = [run_settings(*NOISY, f"pose_filter.angular_time={time}") for time in TIMES]
-    payloads = len(configs[0].experiment.payloads)
+    shipped = run_settings(*noisy)
+    row = single_row(shipped.experiment.payloads)
+    configs = [run_settings(*noisy, f"pose_filter.angular_time={time}") for time in TIMES]
     every = simulate(stacked(configs), points=len(configs))
     runs = [one_of(every, config, p) for p, config in enumerate(configs)]
 
-    shipped = runs[TIMES.index(run_settings(*NOISY).pose_filter.angular_time)]
-    few, arms, row = thinned(shipped.log, INSTANTS), shipped.arms, payloads - 1
-    q_true, q, pi_hat = few.q_true[:, row], few.q_bar[:, row], few.pi_hat[:, row]
+    log, arms = runs[TIMES.index(shipped.pose_filter.angular_time)]
+    few, build = thinned(log, INSTANTS), Builder(shipped)
+    q, pi_hat = few.q_bar[:, row], few.pi_hat[:, row]
+    feedback, lengths = patient_feedback(build), [pi_hat, *length_grid(shipped, build)]
+    s, rows = shipped.sensors, []
     with torch.inference_mode():
-        T = arms.true.pose(q_true, arms.true_lengths, *decouple(arms.sensors, arms.true_lengths))
-        print("share of the noise   its own rest lengths   the best at each instant   (crad)")
-        for share in SHARES:
-            print("{:>18.0%} {:>22.2f} {:>26.2f}".format(share, *left(share, q, pi_hat, T)))
+        T = arms.true.pose(few.q_true[:, row], arms.true_lengths, *decouple(arms.sensors, arms.true_lengths))
+        for share in tqdm(SHARES, desc="shares of the noise"):
+            sensors = PoseSensors(share * s.position_noise, share * s.angular_noise)
+            _, seen, _ = sensors(sensors.initial_state(T), T, torch.Generator().manual_seed(0))
+            left = residuals(feedback, q, lengths, seen, T)
+            rows.append(f"{share:>18.0%} {float(left[0].mean()):>22.2f} {float(left.amin(0).mean()):>26.2f}")
+    print("share of the noise   its own rest lengths   the best at each instant   (crad)", *rows, sep="\n")
     print("\ntime constant (s)    angular residual (crad)   tip after 10 s (mm)   Psi (cm)")
     for time, run in zip(TIMES, runs, strict=True):
         c = curves(thinned(run.log), run.arms)
-        tip, psi = 1e3 * float(c.e[-1].mean()), 1e2 * float(c.psi.mean())
-        print(f"{time:>17g} {single(c, payloads):>26.2f} {tip:>21.2f} {psi:>10.2f}")
+        angular, tip, psi = 1e2 * c.angular[:, row].mean(), 1e3 * c.e[-1].mean(), 1e2 * c.psi.mean()
+        print(f"{time:>17g} {float(angular):>26.2f} {float(tip):>21.2f} {float(psi):>10.2f}")
 
 
 if __name__ == "__main__":

@@ -28,6 +28,7 @@ from apcc_torch import (
 )
 from apcc_torch.control.task_integral import TaskIntegral
 from apcc_torch.estimation.pose_filter import PoseFilter, PoseFilterState
+from apcc_torch.lie import se3
 from apcc_torch.model.abscissae import section_fractions
 from apcc_torch.simulation.metrics import mapping_error
 from arms import HANGING_BASE, PI, configurations
@@ -113,7 +114,7 @@ def smooth_state(q: Tensor, lengths: Tensor, dtype: torch.dtype, rng: torch.Gene
     age = uniform((*q.shape[:-1], 3, 2), 0.0, 0.1, dtype, rng)
     return state._replace(
         velocity_filter=filter_state(q.shape[:-1], dtype, rng),
-        expected=PoseFilterState(expected, age, 0.01 * normal((*q.shape[:-1], 2, 3, 6), dtype, rng)),
+        expected=PoseFilterState(expected, age, se3.exp(0.01 * normal((*q.shape[:-1], 2, 3, 6), dtype, rng))),
         integral=1e-3 * normal((*q.shape[:-1], 3), dtype, rng),
     )
 

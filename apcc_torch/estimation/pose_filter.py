@@ -29,7 +29,7 @@ class PoseFilterState(NamedTuple):
 
     T: (..., k, 4, 4) their poses in the next reading, as far as the commanded motion tells.
     age: (..., k, 2) s since orientation and position were last read; `LONG_AGO` before the first reading.
-    since: (..., delay, k, 6) the twists, rad and m, commanded since that reading was taken, the oldest first.
+    since: (..., delay, k, 4, 4) the motions exp(xi) commanded since that reading was taken, the oldest first.
     """
 
     T: Tensor
@@ -80,8 +80,8 @@ class PoseFilter(nn.Module):
     def initial_state(self, q: Tensor, k: int) -> PoseFilterState:
         """Before the first reading of k sensors, of the batch of q (..., n)."""
         T = torch.eye(4, dtype=q.dtype, device=q.device).expand(*q.shape[:-1], k, 4, 4)
-        since = torch.zeros(*q.shape[:-1], self.delay, k, 6, dtype=q.dtype, device=q.device)
-        return PoseFilterState(T, torch.full_like(T[..., :2, 0], LONG_AGO), since)
+        still = T.unsqueeze(-4).expand(*q.shape[:-1], self.delay, k, 4, 4)
+        return PoseFilterState(T, torch.full_like(T[..., :2, 0], LONG_AGO), still)
 
     def forward(
         self, state: PoseFilterState, T: Tensor, usable: Tensor, oriented: Tensor, dt: Tensor
@@ -111,7 +111,7 @@ class PoseFilter(nn.Module):
         later = PoseFilterState(se3.pose(R_new, p_new), torch.where(read, 0.0, age), state.since)
         now = later.T
         for i in range(self.delay):
-            now = now @ se3.exp(state.since[..., i, :, :])
+            now = now @ state.since[..., i, :, :, :]
         filtered = se3.pose(torch.where(seen, now[..., :3, :3], T[..., :3, :3]), now[..., :3, 3])
         return later, torch.where(placed.unsqueeze(-1), filtered, T)
 
@@ -131,13 +131,13 @@ class PoseFilter(nn.Module):
         # An orientation that was never read is the model's at the reading: it tells which way the position moves.
         R = chain.rotation
         for i in reversed(range(self.delay)):
-            R = R @ so3.exp(-state.since[..., i, :, :3])
+            R = R @ state.since[..., i, :, :3, :3].mT
         R = torch.where(state.age[..., 0, None, None] < LONG_AGO, state.T[..., :3, :3], R)
         J = chain.body_jacobian()
         twist = (J @ (aligned(self.follow, 1) * change)[..., None, :, None]).squeeze(-1)
-        since = torch.cat((state.since, twist.unsqueeze(-3)), dim=-3)
-        T = se3.pose(R, state.T[..., :3, 3]) @ se3.exp(since[..., 0, :, :])
-        return state._replace(T=T, since=since[..., 1:, :, :])
+        since = torch.cat((state.since, se3.exp(twist).unsqueeze(-4)), dim=-4)
+        T = se3.pose(R, state.T[..., :3, 3]) @ since[..., 0, :, :, :]
+        return state._replace(T=T, since=since[..., 1:, :, :, :])
 
     @staticmethod
     def _left(age: Tensor, time: Setting) -> Tensor:

@@ -103,6 +103,13 @@ def length_grid(config: SimulateConfig, build: Builder) -> Tensor:
     return torch.cat((*banks, torch.cartesian_prod(*axes)))
 
 
+def patient_feedback(build: Builder) -> StateFeedback:
+    """Algorithm 2 of the settings, with time for rest lengths that are far from those of the first guess."""
+    feedback = build.controller(adaptive=False).feedback
+    feedback.max_iterations = 25  # from another model's q_bar, they need more than a control step's few
+    return feedback
+
+
 def _inferred(feedback: StateFeedback, q: Tensor, pi: Tensor, T: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """q_bar and the sensors' linear and angular errors under rest lengths pi, (n_b,) or as many as of q."""
     found = feedback(q, pi.expand(*q.shape[:-1], pi.shape[-1]), T)
@@ -119,8 +126,7 @@ def limits(config: SimulateConfig, log: DynamicLog, arms: Arms) -> Limits:
         arms: Its arms.
     """
     build = Builder(config)
-    feedback = build.controller(adaptive=False).feedback
-    feedback.max_iterations = 25  # from the fixed model's q_bar, far rest lengths need more than a control step's few
+    feedback = patient_feedback(build)
     few = thinned(log, INSTANTS)
     with torch.inference_mode():
         true = arms.true.points(few.q_true, arms.true_lengths, POINTS)

@@ -241,4 +241,4 @@ def test_a_negative_delay() -> None:
 def test_state_is_a_tuple_of_tensors() -> None:
     state = PoseFilter(delay=3).initial_state(torch.zeros(5, 9), 2)
     assert isinstance(state, PoseFilterState)
-    assert state.T.shape == (5, 2, 4, 4) and state.age.shape == (5, 2, 2) and state.since.shape == (5, 3, 2, 6)
+    assert state.T.shape == (5, 2, 4, 4) and state.age.shape == (5, 2, 2) and state.since.shape == (5, 3, 2, 4, 4)
