@@ -11,11 +11,14 @@ from torch import Tensor
 
 from apcc_torch.control.adaptation import AdaptiveLaw
 from apcc_torch.control.inverse_kinematics import InverseKinematics
+from apcc_torch.control.length_bank import LengthBank, candidates
 from apcc_torch.control.pid import TendonPID
+from apcc_torch.control.residual_adaptation import ResidualLaw
 from apcc_torch.control.task_integral import TaskIntegral
 from apcc_torch.errors import ValueRangeError
 from apcc_torch.estimation.pose_filter import PoseFilter
 from apcc_torch.estimation.savitzky_golay import SavitzkyGolay
+from apcc_torch.estimation.sensor_curve import SensorCurve
 from apcc_torch.estimation.state_feedback import StateFeedback
 from apcc_torch.lie import se3
 from apcc_torch.model.abscissae import decouple
@@ -128,6 +131,39 @@ def integrated(**settings: Any) -> Tensor:
     return TaskIntegral(**settings)(1e-3 * randn(ROWS, 3), 1e-3 * randn(ROWS, 3, seed=1), rows(0.1, 0.1, 0.1))
 
 
+def followed(made: ResidualLaw | LengthBank, steps: int) -> Tensor:
+    """pi_hat after some steps of a law on arms whose first section is shorter than the model's."""
+    backbone, X, feedback = PCCBackbone(3, HANGING_BASE), rows(0.105, 0.36, 0.6), estimator()
+    lengths = PI + rows(-0.02, 0.015, 0.0)
+    T = backbone.pose(0.5 * randn(ROWS, 9) * rows(1.0, 1.0, 0.02).repeat(3), lengths, *decouple(X, lengths))
+    pi, q, seen = PI.expand(ROWS, 3), torch.zeros(ROWS, 9, dtype=torch.float64), torch.ones(ROWS, dtype=torch.bool)
+    evidence = made.initial_evidence(q, pi)
+    for _ in range(steps):
+        q = feedback(q, pi, T).q_bar
+        known = feedback.sensitivity(q, pi)
+        velocity, evidence = made(backbone, q, pi, known, T, X, rows(0.05, 0.05, 0.05), seen, evidence)  # type: ignore[arg-type]
+        pi = pi + 0.05 * velocity
+    return pi
+
+
+def estimator() -> StateFeedback:
+    return StateFeedback(PCCBackbone(3, HANGING_BASE), rows(0.105, 0.36, 0.6), angular_weight=0.1, max_iterations=5)
+
+
+def curved(**settings: Any) -> Tensor:
+    return followed(ResidualLaw(PI, "curve", SensorCurve(HANGING_BASE, rows(0.105, 0.36, 0.6)), **settings), 3)
+
+
+def joint(**settings: Any) -> Tensor:
+    return followed(ResidualLaw(PI, "sensors", **{"angular_weight": 0.1, "memory": 1.0, **settings}), 3)
+
+
+def banked(**settings: Any) -> Tensor:
+    curve = SensorCurve(HANGING_BASE, rows(0.105, 0.36, 0.6), samples=4)
+    settings = {"shares": (0.7, 1.0), "stretch": 1.0, "time_constant": 0.1, **settings}
+    return followed(LengthBank(PI, estimator(), curve, **settings), 8)
+
+
 def sensed(**settings: Any) -> Tensor:
     made = PoseSensors(**settings)
     T = torch.eye(4, dtype=torch.float64).expand(ROWS, 2, 4, 4)
@@ -172,6 +208,24 @@ def sine(omega: Any) -> Tensor:
         (carried, "follow", (0.0, 0.7, 1.0)),
         (integrated, "gain", (0.0, 0.5, 2.0)),
         (integrated, "reach", (1e-4, 1e-3, 1e-2)),
+        (curved, "time_constant", (0.1, 0.5, 2.0)),
+        (curved, "elongation_weight", (0.0, 0.1, 1.0)),
+        (curved, "nominal_weight", (0.0, 0.1, 1.0)),
+        (curved, "total_weight", (0.0, 0.1, 1.0)),
+        (curved, "damping", (0.01, 0.1, 1.0)),
+        (curved, "excitation", (1e-4, 0.1, 1.0)),
+        (curved, "rate", (1e-4, 1e-3, 0.1)),
+        (joint, "angular_weight", (0.01, 0.1, 1.0)),
+        (joint, "memory", (0.01, 0.1, 1.0)),
+        (banked, "elongation_weight", (0.0, 0.1, 1.0)),
+        (banked, "nominal_weight", (0.0, 0.1, 1.0)),
+        (banked, "sharpness", (0.0, 0.3, 3.0)),
+        (banked, "resolution", (1e-6, 1e-3, 0.1)),
+        (banked, "memory", (0.1, 1.0, 10.0)),
+        (banked, "time_constant", (0.1, 0.5, 2.0)),
+        (banked, "rate", (1e-3, 1e-2, 0.1)),
+        (banked, "stretch", (0.1, 1.0, 2.0)),
+        (banked, "total_range", (1e-4, 1e-3, 0.1)),
         (sensed, "position_noise", (1e-3, 1e-2, 1.0)),
         (sensed, "angular_noise", (1e-3, 1e-2, 1.0)),
         (sensed, "dropout", (0.1, 0.5, 0.9)),
@@ -202,6 +256,17 @@ def test_what_the_null_space_prefers_may_differ_from_row_to_row() -> None:
         alone = [solver(null_gain=1.0, **{name: each}) for each in sets]
         torch.testing.assert_close(together, torch.stack([alone[i][i] for i in range(ROWS)]), rtol=1e-9, atol=1e-12)
         assert not torch.allclose(alone[0], alone[1], rtol=1e-6, atol=1e-9)
+
+
+def test_what_a_bank_tries_may_differ_from_row_to_row() -> None:
+    sets = [((0.7, 1.0), (0.8, 1.0)), ((0.6, 0.9), (1.0, 1.1)), ((0.8, 1.0), (0.9, 1.2))]
+    together = banked(shares=[torch.stack([rows(*each[i]) for each in sets]) for i in range(2)])
+    alone = [banked(shares=each) for each in sets]
+    assert not torch.allclose(alone[0], alone[1], rtol=1e-6, atol=1e-9)
+    torch.testing.assert_close(together[1:], torch.stack([alone[i][i] for i in (1, 2)]), rtol=1e-9, atol=1e-12)
+    # The first row's nominal lengths are one combination of its own shares, and alone they are not tried twice.
+    again = candidates(PI, [torch.stack([rows(*each[i]) for each in sets]) for i in range(2)], rows(0.105, 0.36, 0.6))
+    assert again.shape == (3, 5, 3) and torch.equal(again[0, 0], again[0, -1])
 
 
 def test_reach_may_differ_from_row_to_row() -> None:

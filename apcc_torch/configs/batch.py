@@ -30,13 +30,21 @@ ROWS: dict[str, frozenset[str]] = {
         {"K", "gamma", "damping", "null_gain", "epsilon", "null_weights", "null_bends", "null_step"}
         | {"integral_gain", "integral_reach", "bend_rate", "length_rate", "bend_bound", "elongation_bound"}
     ),
+    "residual": frozenset(
+        {"angular_weight", "time_constant", "elongation_weight", "nominal_weight", "total_weight", "damping"}
+        | {"excitation", "memory", "rate", "gains", "shares", "sharpness", "resolution", "stretch", "total_range"}
+    ),
     "adaptation": frozenset({"gain_scale", "lower", "upper", "rate", "normalisation", "dead_zone", "reach"}),
     "experiment": frozenset({"r_0", "A", "omega", "setpoints", "payloads"}),
 }
 """Keys whose numbers may differ from run to run within one tensor batch; runs that differ in others share none."""
 
-APART = frozenset({"sensors.position_noise", "sensors.angular_noise", "sensors.dropout"})
-"""Keys where zero is no number like others: without noise none is drawn, which changes what is drawn after it."""
+APART = frozenset(
+    {"sensors.position_noise", "sensors.angular_noise", "sensors.dropout"}
+    | {"residual.angular_weight", "residual.excitation", "residual.memory", "residual.stretch"}
+)
+"""Keys where zero is no number like others: without noise none is drawn, which changes what is drawn after it, and a
+law without memory keeps no evidence."""
 
 
 class Point(NamedTuple):

@@ -6,7 +6,7 @@ from torch import Tensor
 
 from apcc_torch.configs.choice import choice
 from apcc_torch.configs.schema import ResidualConfig
-from apcc_torch.control.length_bank import LengthBank
+from apcc_torch.control.length_bank import LengthBank, Shares
 from apcc_torch.control.residual_adaptation import TARGETS, ResidualLaw
 from apcc_torch.estimation.sensor_curve import SensorCurve
 from apcc_torch.estimation.state_feedback import StateFeedback
@@ -21,7 +21,7 @@ def residual_law(
         r: The settings.
         feedback: Algorithm 2 as the controller has it.
         nominal: (..., n_b) pi_hat at the start, m.
-        gains: (n_b,) `r.gains`; a bank has none.
+        gains: (..., n_b) `r.gains`; a bank has none.
 
     Raises:
         ConfigError: The target is unknown, or does not fit the sensors.
@@ -34,7 +34,7 @@ def residual_law(
             nominal,
             feedback,
             _curve(r, feedback),
-            r.shares,
+            _shares(r.shares, nominal.shape[-1] - 1),
             elongation_weight=r.elongation_weight,
             nominal_weight=r.nominal_weight,
             sharpness=r.sharpness,
@@ -60,6 +60,14 @@ def residual_law(
         rate=r.rate,
         gains=gains,
     )
+
+
+def _shares(shares: Shares | Tensor, sections: int) -> Shares:
+    """The shares as a bank takes them; of several runs side by side (P, 1, c), or (P, sections, c) of a list each."""
+    if not isinstance(shares, Tensor):
+        return shares
+    lists = shares.split(1, dim=-2)
+    return lists * sections if len(lists) == 1 else lists
 
 
 def _curve(r: ResidualConfig, feedback: StateFeedback) -> SensorCurve:

@@ -10,26 +10,26 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import torch
 from torch import Tensor, nn
 
-from apcc_torch.control.bounds import scaled_within
+from apcc_torch.control.bounds import scaled_within, within
 from apcc_torch.errors import ConfigError, ValueRangeError
 from apcc_torch.estimation.sensor_curve import SensorCurve
 from apcc_torch.estimation.state_feedback import StateFeedback
 from apcc_torch.model.abscissae import located
 from apcc_torch.model.kinematic_model import KinematicModel
-from apcc_torch.settings import check_setting, hold_rows
+from apcc_torch.settings import Setting, aligned, check_setting, hold, hold_rows, is_used
 from apcc_torch.shapes import check_finite, check_tensor
 
 UNSEEN = 1.0
 """V of a model before its first visit, m^2: more than any arm can leave, and finite, so that gradients are."""
 
 
-Shares = Sequence[float] | Sequence[Sequence[float]]
-"""What sections are tried with: one list for all but the last, or one for each of them."""
+Shares = Sequence[float] | Sequence[Sequence[float]] | Sequence[Tensor]
+"""What sections are tried with: one list for all but the last, or one for each of them, where (..., c) one a row."""
 
 
 class BankEvidence(NamedTuple):
@@ -64,6 +64,8 @@ class LengthBank(nn.Module):
     rest lengths take over what the model is compressed, and above 1 more of it. It never grows beyond S_0: the last
     sensor would no longer be on the tip.
 
+    Each number may also be a tensor (...), one a row, but for a memory or stretch of zero, which all rows share.
+
     Args:
         nominal: (..., n_b) pi_0, m.
         feedback: Algorithm 2, of the controller's own settings.
@@ -87,6 +89,15 @@ class LengthBank(nn.Module):
 
     nominal: Tensor
     candidates: Tensor
+    elongation_weight: Setting
+    nominal_weight: Setting
+    sharpness: Setting
+    resolution: Setting
+    memory: Setting
+    time_constant: Setting
+    rate: Setting
+    stretch: Setting
+    total_range: Setting
     needs_sensitivity = False
 
     def __init__(
@@ -95,15 +106,15 @@ class LengthBank(nn.Module):
         feedback: StateFeedback,
         curve: SensorCurve,
         shares: Shares = (0.4, 0.55, 0.7, 0.85, 1.0, 1.15),
-        elongation_weight: float = 0.02,
-        nominal_weight: float = 0.002,
-        sharpness: float = 0.3,
-        resolution: float = 3e-5,
-        memory: float = 2.0,
-        time_constant: float = 1.0,
-        rate: float = 0.3,
-        stretch: float = 0.0,
-        total_range: float = 0.1,
+        elongation_weight: Setting = 0.02,
+        nominal_weight: Setting = 0.002,
+        sharpness: Setting = 0.3,
+        resolution: Setting = 3e-5,
+        memory: Setting = 2.0,
+        time_constant: Setting = 1.0,
+        rate: Setting = 0.3,
+        stretch: Setting = 0.0,
+        total_range: Setting = 0.1,
     ) -> None:
         super().__init__()
         positive = {"time_constant": time_constant, "rate": rate, "resolution": resolution}
@@ -119,20 +130,13 @@ class LengthBank(nn.Module):
         }
         for name, value in weights.items():
             check_setting(name, value, zero=True)
-        if total_range >= 1:
+        if bool((torch.as_tensor(total_range) >= 1).any()):
             raise ValueRangeError(f"total_range must be below 1, got {total_range}")
         check_finite("nominal", check_tensor("nominal", nominal, (None,)))
         self.feedback = feedback
         self.curve = curve
-        self.elongation_weight = elongation_weight
-        self.nominal_weight = nominal_weight
-        self.sharpness = sharpness
-        self.resolution = resolution
-        self.memory = memory
-        self.time_constant = time_constant
-        self.rate = rate
-        self.stretch = stretch
-        self.total_range = total_range
+        hold(self, **positive, **weights)
+        self.remembers, self.stretches = is_used(memory), is_used(stretch)
         hold_rows(self, nominal=(nominal.clone(), 1), candidates=(candidates(nominal, shares, feedback.abscissae), 2))
 
     @property
@@ -175,14 +179,14 @@ class LengthBank(nn.Module):
         M = self.candidates.shape[-2]
         total = self._total(pi)
         models = self.candidates.to(pi).expand(*pi.shape[:-1], M, pi.shape[-1])
-        if self.stretch > 0.0:
+        if self.stretches:
             models = models * total.unsqueeze(-1)
         chosen = torch.arange(M, device=pi.device) == evidence.turn.unsqueeze(-1)
         visited = torch.where(chosen.unsqueeze(-1), models, 0.0).sum(-2)
         seed = torch.where(chosen.unsqueeze(-1), evidence.q, 0.0).sum(-2)
         q_m = self.feedback(seed, visited, T).q_bar
         V = self.cost(backbone, q_m, visited, T)
-        if self.memory > 0.0:
+        if self.remembers:
             before = torch.where(chosen, evidence.cost, 0.0).sum(-1)
             V = torch.where(before < UNSEEN, torch.lerp(V, before, torch.exp(-M * dt / self.memory)), V)
         good = seen & torch.isfinite(V)
@@ -193,13 +197,15 @@ class LengthBank(nn.Module):
             torch.where(seen, torch.where(evidence.turn + 1 < M, evidence.turn + 1, 0), evidence.turn),
         )
         low = later.cost.amin(-1, keepdim=True)
-        weight = torch.exp((low - later.cost) / (self.sharpness * low + self.resolution**2)).unsqueeze(-1)
+        sharpness, resolution = aligned(self.sharpness, 1), aligned(self.resolution, 1)
+        weight = torch.exp((low - later.cost) / (sharpness * low + resolution**2)).unsqueeze(-1)
         best = (weight * models).sum(-2) / weight.sum(-2)
-        if self.stretch > 0.0:
+        if self.stretches:
             stretched = self._total(pi + q[..., backbone.coordinates.elongations])
-            change = (self.stretch * (stretched - 1.0)).clamp(-self.total_range, 0.0)
+            shorter = (aligned(self.stretch, 1) * (stretched - 1.0)).clamp(max=0.0)
+            change = within(shorter, self.total_range)
             best = best * (1.0 + change) / total
-        velocity = scaled_within((best - pi) / self.time_constant, self.rate)
+        velocity = scaled_within((best - pi) / aligned(self.time_constant, 1), self.rate)
         return torch.where(good.unsqueeze(-1) & torch.isfinite(velocity), velocity, 0.0), later
 
     def cost(self, backbone: KinematicModel, q: Tensor, pi: Tensor, T: Tensor) -> Tensor:
@@ -236,10 +242,13 @@ def candidates(nominal: Tensor, shares: Shares, abscissae: Tensor) -> Tensor:
     n_b, k = nominal.shape[-1], abscissae.shape[-1]
     if k < n_b:
         raise ConfigError(f"a bank of models with {n_b} sections needs at least {n_b} sensors, got {k}")
-    others = [factors for factors in itertools.product(*_lists(shares, n_b - 1)) if any(f != 1.0 for f in factors)]
+    lists = _lists(shares, n_b - 1)
+    combinations = itertools.product(*(each.unbind(-1) for each in lists)) if lists else ()
+    every = (torch.stack(torch.broadcast_tensors(*factors), dim=-1) for factors in combinations)
+    others = [factors.to(nominal) for factors in every if bool((factors != 1.0).any())]
     if not others:
         raise ConfigError(f"a bank needs two sections or more and shares other than 1, got {n_b} and {list(shares)}")
-    combined = torch.tensor(others, dtype=torch.float64).to(nominal)
+    combined = torch.stack(others, dim=-2)
     first = nominal.unsqueeze(-2)[..., :-1] * combined
     last = nominal.sum(-1)[..., None, None] - first.sum(-1, keepdim=True)
     made = torch.cat((first, last.expand(*first.shape[:-1], 1)), dim=-1)
@@ -247,20 +256,22 @@ def candidates(nominal: Tensor, shares: Shares, abscissae: Tensor) -> Tensor:
     kept = kept.reshape(-1, kept.shape[-1]).all(0)  # in every row, for rows share the number of models
     if not bool(kept.any()):
         raise ConfigError(f"shares must leave lengths that the sensors can tell, got {list(shares)}")
-    return torch.cat((nominal.unsqueeze(-2), made[..., kept, :]), dim=-2)
+    return torch.cat((nominal.unsqueeze(-2).expand(*made.shape[:-2], 1, n_b), made[..., kept, :]), dim=-2)
 
 
-def _lists(shares: Shares, sections: int) -> list[list[float]]:
-    """The shares of each of the sections."""
-    own = [list(entry) for entry in shares if isinstance(entry, list | tuple)]
-    alike: list[Any] = [entry for entry in shares if not isinstance(entry, list | tuple)]
+def _lists(shares: Shares, sections: int) -> list[Tensor]:
+    """The shares (..., c) of each of the sections."""
+    own = [entry for entry in shares if isinstance(entry, list | tuple | Tensor)]
+    alike = [entry for entry in shares if not isinstance(entry, list | tuple | Tensor)]
     if own and (alike or len(own) != sections):
         raise ValueRangeError(f"shares must be one list of numbers, or {sections} lists, got {shares}")
     every = own or [alike] * sections
-    numbers = all(group and all(isinstance(share, int | float) for share in group) for group in every)
-    if not numbers or not all(0 < share < float("inf") for group in every for share in group):
-        raise ValueRangeError(f"shares must be positive and finite, at least one, got {shares}")
-    return every
+    listed = [share for group in every if not isinstance(group, Tensor) for share in group]
+    if all(isinstance(share, int | float) for share in listed):
+        lists = [torch.as_tensor(group, dtype=torch.float64) for group in every]
+        if all(group.numel() > 0 and bool(((group > 0) & torch.isfinite(group)).all()) for group in lists):
+            return lists
+    raise ValueRangeError(f"shares must be positive and finite numbers, at least one, got {shares}")
 
 
 def _told_apart(lengths: Tensor, abscissae: Tensor) -> Tensor:

@@ -27,7 +27,7 @@ from apcc_torch.lie import se3
 from apcc_torch.linalg import solve_spd
 from apcc_torch.model.abscissae import located
 from apcc_torch.model.kinematic_model import KinematicModel
-from apcc_torch.settings import check_setting, hold_rows
+from apcc_torch.settings import Setting, aligned, check_setting, hold, hold_rows, is_used
 from apcc_torch.shapes import check_finite, check_tensor
 
 TARGETS = ("curve", "sensors")
@@ -62,8 +62,10 @@ class ResidualLaw(nn.Module):
       gradient A^T r is the partial one, and with `memory` the law is the joint least-squares estimate of (q, pi) over a
       window, pi a random walk: an extended Kalman filter whose fast states are eliminated at every sample.
 
+    Each number may also be a tensor (...), one a row, but for one that zero turns off: all rows have it, or none.
+
     Args:
-        nominal: (n_b,) pi_0, m.
+        nominal: (..., n_b) pi_0, m.
         target: "curve" or "sensors".
         curve: For target "curve".
         angular_weight: For target "sensors", metres that a radian counts as; 0 for positions alone.
@@ -75,7 +77,7 @@ class ResidualLaw(nn.Module):
         excitation: Directions of the data in which the residual moves by less than this, m/m, are not followed at all.
         memory: s over which past residuals count; 0 for the present one alone.
         rate: Largest speed of a parameter, m/s. A row over it is scaled whole.
-        gains: (n_b,) factor on each section's speed; None for one.
+        gains: (..., n_b) factor on each section's speed; None for one.
 
     Raises:
         ConfigError: The target needs a curve and has none.
@@ -84,6 +86,15 @@ class ResidualLaw(nn.Module):
 
     nominal: Tensor
     gains: Tensor
+    angular_weight: Setting
+    time_constant: Setting
+    elongation_weight: Setting
+    nominal_weight: Setting
+    total_weight: Setting
+    damping: Setting
+    excitation: Setting
+    memory: Setting
+    rate: Setting
     needs_sensitivity = True
 
     def __init__(
@@ -91,15 +102,15 @@ class ResidualLaw(nn.Module):
         nominal: Tensor,
         target: str = "curve",
         curve: SensorCurve | None = None,
-        angular_weight: float = 0.0,
-        time_constant: float = 0.3,
-        elongation_weight: float = 0.05,
-        nominal_weight: float = 0.02,
-        total_weight: float = 0.0,
-        damping: float = 0.05,
-        excitation: float = 0.0,
-        memory: float = 0.0,
-        rate: float = 0.1,
+        angular_weight: Setting = 0.0,
+        time_constant: Setting = 0.3,
+        elongation_weight: Setting = 0.05,
+        nominal_weight: Setting = 0.02,
+        total_weight: Setting = 0.0,
+        damping: Setting = 0.05,
+        excitation: Setting = 0.0,
+        memory: Setting = 0.0,
+        rate: Setting = 0.1,
         gains: Tensor | None = None,
     ) -> None:
         super().__init__()
@@ -107,7 +118,8 @@ class ResidualLaw(nn.Module):
             raise ValueRangeError(f"target must be one of {', '.join(TARGETS)}, got {target!r}")
         if target == "curve" and curve is None:
             raise ConfigError("target curve needs a curve")
-        for name, value in {"time_constant": time_constant, "damping": damping, "rate": rate}.items():
+        positive = {"time_constant": time_constant, "damping": damping, "rate": rate}
+        for name, value in positive.items():
             check_setting(name, value)
         weights = {
             "angular_weight": angular_weight,
@@ -125,25 +137,19 @@ class ResidualLaw(nn.Module):
             raise ValueRangeError(f"gains must be zero or positive, got {gains.tolist()}")
         self.target = target
         self.curve = curve
-        self.angular_weight = angular_weight
-        self.time_constant = time_constant
-        self.elongation_weight = elongation_weight
-        self.nominal_weight = nominal_weight
-        self.total_weight = total_weight
-        self.damping = damping
-        self.excitation = excitation
-        self.memory = memory
-        self.rate = rate
+        hold(self, **positive, **weights)
+        # Read once, for a compiled step has no branches on values.
+        self.oriented, self.monitored, self.remembers = (is_used(v) for v in (angular_weight, excitation, memory))
         hold_rows(self, nominal=(nominal.clone(), 1), gains=(gains.clone(), 1))
 
     @property
     def needs_orientations(self) -> bool:
         """Whether the residual is made of measured orientations too."""
-        return self.angular_weight > 0.0 if self.curve is None else self.curve.tangents == "measured"
+        return self.oriented if self.curve is None else self.curve.tangents == "measured"
 
     def initial_evidence(self, q: Tensor, pi_hat: Tensor) -> Evidence | None:
         """No evidence yet, of the batch of q (..., n) and pi_hat (..., n_b); None for a law without memory."""
-        if self.memory == 0.0:
+        if not self.remembers:
             return None
         n_b = pi_hat.shape[-1]
         pi_hat = pi_hat.expand(*torch.broadcast_shapes(q.shape[:-1], pi_hat.shape[:-1]), n_b)
@@ -170,8 +176,9 @@ class ResidualLaw(nn.Module):
         moved = body @ followed.unsqueeze(-3) + backbone.parameter_columns(q, pi, X, points, body)
         if self.curve is None:
             twist = se3.log(se3.inverse(se3.pose(chain.rotation, chain.tip)) @ T)
-            weight = torch.ones(6, dtype=pi.dtype, device=pi.device)
-            weight[:3] = self.angular_weight
+            angular = aligned(self.angular_weight, 2)
+            weight = torch.ones_like(twist)
+            weight = torch.cat((angular * weight[..., :3], weight[..., 3:]), dim=-1)
             return Residual((twist * weight).flatten(-2), (moved * weight.unsqueeze(-1)).flatten(-3, -2))
         return Residual(self.curve.across(chain, T).flatten(-2), moved[..., 3:5, :].flatten(-3, -2))
 
@@ -205,12 +212,12 @@ class ResidualLaw(nn.Module):
             H = torch.lerp(H, evidence.information, keep[..., None, None])
             g = torch.lerp(g, evidence.gradient, keep[..., None])
         H_data, g_data = H, g
-        if self.excitation > 0.0:
+        if self.monitored:
             values, directions = torch.linalg.eigh(H)
-            followed_ones = directions * (values > self.excitation**2).to(H.dtype).unsqueeze(-2)
+            followed_ones = directions * (values > aligned(self.excitation, 1) ** 2).to(H.dtype).unsqueeze(-2)
             g = (followed_ones @ (directions.mT @ g.unsqueeze(-1))).squeeze(-1)
         step = self._step(backbone, H, g, q, pi, followed)
-        velocity = scaled_within(self.gains.to(pi) * step / self.time_constant, self.rate)
+        velocity = scaled_within(self.gains.to(pi) * step / aligned(self.time_constant, 1), self.rate)
         velocity = torch.where(good.unsqueeze(-1), velocity, 0.0)
         if evidence is None:
             return velocity, None
@@ -220,12 +227,14 @@ class ResidualLaw(nn.Module):
     def _step(self, backbone: KinematicModel, H: Tensor, g: Tensor, q: Tensor, pi: Tensor, followed: Tensor) -> Tensor:
         """The damped Gauss-Newton step of V (..., n_b), m."""
         n_b = pi.shape[-1]
-        mu2, kappa2, sigma2 = self.elongation_weight**2, self.nominal_weight**2, self.total_weight**2
+        weights = (self.elongation_weight, self.nominal_weight, self.total_weight, self.damping)
+        mu2, kappa2, sigma2, lambda2 = (aligned(weight, 2) ** 2 for weight in weights)
         identity = torch.eye(n_b, dtype=pi.dtype, device=pi.device)
         short = self.nominal.to(pi) - pi
         elongations = backbone.coordinates.elongations
         stretched = followed[..., elongations, :]
-        H = H + mu2 * (stretched.mT @ stretched) + (kappa2 + self.damping**2) * identity + sigma2
-        g = g - mu2 * (stretched.mT @ q[..., elongations].unsqueeze(-1)).squeeze(-1)
-        g = g + kappa2 * short + sigma2 * short.sum(-1, keepdim=True)
-        return solve_spd(H, g.unsqueeze(-1)).squeeze(-1)
+        H = H + mu2 * (stretched.mT @ stretched) + (kappa2 + lambda2) * identity + sigma2
+        short = short.unsqueeze(-1)
+        g = g.unsqueeze(-1) - mu2 * (stretched.mT @ q[..., elongations].unsqueeze(-1))
+        g = g + kappa2 * short + sigma2 * short.sum(-2, keepdim=True)
+        return solve_spd(H, g).squeeze(-1)

@@ -22,7 +22,7 @@ def same(*changes: str, experiment: str = "dynamic_run_2") -> bool:
         *("adaptation.gain_scale=1", "adaptation.lower=[0.05,0.1,0.1]", "adaptation.dead_zone=0.2"),
         *("robot.rest_lengths=[0.1,0.2,0.3]", "robot.sensors=[0.1,0.2,0.3]", "velocity_filter.window=5"),
         *("feedback.angular_weight=0.2", "plant.mass=2", "plant.lengths=[0.1,0.1,0.1,0.1,0.1,0.1]", "plant.K_P=500"),
-        *("experiment.payloads=[0.1,0.2,0.3]",),
+        *("experiment.payloads=[0.1,0.2,0.3]", "residual.time_constant=2", "residual.total_range=0.2"),
     ],
 )
 def test_other_numbers_share_a_batch(change: str) -> None:
@@ -37,6 +37,7 @@ def test_other_numbers_share_a_batch(change: str) -> None:
         *("robot.rest_lengths=[0.1,0.2]", "robot.racks=[0.1,0.2,0.3]", "robot.base=standing", "plant.substeps=4"),
         *("experiment.duration=1", "experiment.payloads=[0.1]", "plant.layout=independent", "seed=1", "dtype=float32"),
         *("sensors.position_noise=1e-3", "sensors.delay=1", "controller.gamma=[1,2,3]"),
+        *("residual.memory=1", "residual.target=bank", "residual.gains=[1,1,2]", "residual.samples=4"),
     ],
 )
 def test_another_form_has_a_batch_of_its_own(change: str) -> None:
