@@ -131,9 +131,12 @@ def integrated(**settings: Any) -> Tensor:
     return TaskIntegral(**settings)(1e-3 * randn(ROWS, 3), 1e-3 * randn(ROWS, 3, seed=1), rows(0.1, 0.1, 0.1))
 
 
-def followed(made: ResidualLaw | LengthBank, steps: int) -> Tensor:
+SENSORS = rows(0.105, 0.36, 0.6)
+
+
+def followed(made: ResidualLaw | LengthBank, steps: int, X: Tensor = SENSORS) -> Tensor:
     """pi_hat after some steps of a law on arms whose first section is shorter than the model's."""
-    backbone, X, feedback = PCCBackbone(3, HANGING_BASE), rows(0.105, 0.36, 0.6), estimator()
+    backbone, feedback = PCCBackbone(3, HANGING_BASE), estimator(X)
     lengths = PI + rows(-0.02, 0.015, 0.0)
     T = backbone.pose(0.5 * randn(ROWS, 9) * rows(1.0, 1.0, 0.02).repeat(3), lengths, *decouple(X, lengths))
     pi, q, seen = PI.expand(ROWS, 3), torch.zeros(ROWS, 9, dtype=torch.float64), torch.ones(ROWS, dtype=torch.bool)
@@ -146,22 +149,22 @@ def followed(made: ResidualLaw | LengthBank, steps: int) -> Tensor:
     return pi
 
 
-def estimator() -> StateFeedback:
-    return StateFeedback(PCCBackbone(3, HANGING_BASE), rows(0.105, 0.36, 0.6), angular_weight=0.1, max_iterations=5)
+def estimator(X: Tensor) -> StateFeedback:
+    return StateFeedback(PCCBackbone(3, HANGING_BASE), X, angular_weight=0.1, max_iterations=5)
 
 
-def curved(**settings: Any) -> Tensor:
-    return followed(ResidualLaw(PI, "curve", SensorCurve(HANGING_BASE, rows(0.105, 0.36, 0.6)), **settings), 3)
+def curved(abscissae: Tensor = SENSORS, **settings: Any) -> Tensor:
+    return followed(ResidualLaw(PI, "curve", SensorCurve(HANGING_BASE, abscissae), **settings), 3, abscissae)
 
 
 def joint(**settings: Any) -> Tensor:
     return followed(ResidualLaw(PI, "sensors", **{"angular_weight": 0.1, "memory": 1.0, **settings}), 3)
 
 
-def banked(**settings: Any) -> Tensor:
-    curve = SensorCurve(HANGING_BASE, rows(0.105, 0.36, 0.6), samples=4)
+def banked(abscissae: Tensor = SENSORS, **settings: Any) -> Tensor:
+    curve = SensorCurve(HANGING_BASE, abscissae, samples=4)
     settings = {"shares": (0.7, 1.0), "stretch": 1.0, "time_constant": 0.1, **settings}
-    return followed(LengthBank(PI, estimator(), curve, **settings), 8)
+    return followed(LengthBank(PI, estimator(abscissae), curve, **settings), 8, abscissae)
 
 
 def sensed(**settings: Any) -> Tensor:
@@ -247,6 +250,10 @@ def test_abscissae_may_differ_from_row_to_row() -> None:
     together = inferred(abscissae=torch.stack(sets))
     alone = torch.stack([inferred(abscissae=at)[i] for i, at in enumerate(sets)])
     torch.testing.assert_close(together, alone, rtol=1e-9, atol=1e-12)
+    for laws in (curved, banked):
+        together = laws(abscissae=torch.stack(sets))
+        alone = torch.stack([laws(abscissae=at)[i] for i, at in enumerate(sets)])
+        torch.testing.assert_close(together, alone, rtol=1e-9, atol=1e-12)
 
 
 def test_what_the_null_space_prefers_may_differ_from_row_to_row() -> None:
@@ -265,7 +272,7 @@ def test_what_a_bank_tries_may_differ_from_row_to_row() -> None:
     assert not torch.allclose(alone[0], alone[1], rtol=1e-6, atol=1e-9)
     torch.testing.assert_close(together[1:], torch.stack([alone[i][i] for i in (1, 2)]), rtol=1e-9, atol=1e-12)
     # The first row's nominal lengths are one combination of its own shares, and alone they are not tried twice.
-    again = candidates(PI, [torch.stack([rows(*each[i]) for each in sets]) for i in range(2)], rows(0.105, 0.36, 0.6))
+    again = candidates(PI, [torch.stack([rows(*each[i]) for each in sets]) for i in range(2)], SENSORS)
     assert again.shape == (3, 5, 3) and torch.equal(again[0, 0], again[0, -1])
 
 

@@ -12,6 +12,7 @@ from torch import Tensor, nn
 
 from apcc_torch.errors import ValueRangeError
 from apcc_torch.model.kinematic_model import Placed
+from apcc_torch.settings import hold_rows
 from apcc_torch.shapes import check_finite, check_same, check_tensor
 
 TANGENTS = ("measured", "spline")
@@ -22,7 +23,7 @@ class SensorCurve(nn.Module):
 
     Args:
         base_rotation: (3, 3) base of the arm in the world; the arm leaves the origin along its z axis.
-        abscissae: (k,) material abscissae of the sensors, m, increasing, the first beyond the base.
+        abscissae: (..., k) material abscissae of the sensors, m, increasing, the first beyond the base.
         tangents: "measured", the sensors' z axes; "spline", from the positions alone.
         samples: Points on each of the k pieces, the last of them on its sensor.
 
@@ -42,14 +43,15 @@ class SensorCurve(nn.Module):
             raise ValueRangeError(f"tangents must be one of {', '.join(TANGENTS)}, got {tangents!r}")
         if samples < 1:
             raise ValueRangeError(f"samples must be at least 1, got {samples}")
-        ends = torch.cat((torch.zeros_like(abscissae[:1]), abscissae))
-        if abscissae.shape[0] == 0 or bool((ends.diff() <= 0).any()):
+        ends = torch.nn.functional.pad(abscissae, (1, 0))
+        if abscissae.shape[-1] == 0 or bool((ends.diff() <= 0).any()):
             raise ValueRangeError(f"abscissae must increase from beyond the base, got {abscissae.tolist()}")
         self.tangents = tangents
         share = torch.arange(1, samples + 1, dtype=abscissae.dtype, device=abscissae.device) / samples
         self.register_buffer("base_axis", base_rotation[:, 2].clone())
         self.register_buffer("shares", share)
-        self.register_buffer("abscissae", (ends[:-1, None] + ends.diff()[:, None] * share).flatten())
+        between = ends[..., :-1, None] + ends.diff().unsqueeze(-1) * share
+        hold_rows(self, abscissae=(between.flatten(-2), 1))
 
     def forward(self, T: Tensor) -> Tensor:
         """Points (..., k samples, 3) m, world frame, at the material abscissae `abscissae` of an evenly stretched arm.
@@ -60,7 +62,7 @@ class SensorCurve(nn.Module):
         Raises:
             ShapeError, DtypeError: T does not fit.
         """
-        check_tensor("T", T, (self.abscissae.shape[0] // self.shares.shape[0], 4, 4))
+        check_tensor("T", T, (self.abscissae.shape[-1] // self.shares.shape[0], 4, 4))
         check_same(T=T, abscissae=self.abscissae.to(T.dtype))
         base = torch.zeros_like(T[..., :1, :3, 3])
         axis = self.base_axis.to(T).expand_as(base)

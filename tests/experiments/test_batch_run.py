@@ -72,6 +72,15 @@ def base(*changes: str) -> SimulateConfig:
             (*DYNAMIC, "sensors.position_noise=2e-4"),
             {"controller__gamma": ("1", "9"), "plant__K_P": ("500", "750"), "plant__friction": ("0", "0.1")},
         ),
+        (
+            "dynamic_run_2_bank",
+            DYNAMIC,
+            {
+                "robot__sensors": ("[0.105,0.36,0.6]", "[0.1,0.33,0.59]"),
+                "residual__shares": ("[[0.9,1.1],[0.3,0.4]]", "[[0.9,1.2],[0.25,0.35]]"),
+                "residual__sharpness": ("0.1", "0.4"),
+            },
+        ),
         ("tracking", (*DYNAMIC[:-1], "experiment.setpoints=null"), {"experiment__omega": ("1", "2")}),
     ],
 )
