@@ -151,6 +151,38 @@ def test_bends_grow_or_shrink_where_the_tip_leaves_them_free() -> None:
 
 
 @given(seed=seeds)
+def test_the_leak_brings_q_d_back_and_leaves_the_tip(seed: int) -> None:
+    J, e, xdot_d, q = tasks(seed)
+    q_d = q + 0.1 * normal(tuple(q.shape), torch.float64, generator(seed + 1))
+    still = InverseKinematics(damping=0.0)(J, e, xdot_d, q)
+    leak = InverseKinematics(damping=0.0, null_leak=0.5)(J, e, xdot_d, q, q_d=q_d) - still
+    projector = torch.eye(9, dtype=torch.float64) - torch.linalg.pinv(J) @ J
+    torch.testing.assert_close(leak, 0.5 * apply(projector, q - q_d), rtol=1e-9, atol=1e-9)
+    # Where q_d is not told, or is where the arm is, nothing leaks.
+    assert torch.equal(InverseKinematics(damping=0.0, null_leak=0.5)(J, e, xdot_d, q), still)
+    assert torch.equal(InverseKinematics(damping=0.0, null_leak=0.5)(J, e, xdot_d, q, q_d=q), still)
+    with pytest.raises(ShapeError, match="q_d"):
+        InverseKinematics(null_leak=0.5)(J, e, xdot_d, q, q_d=q_d[..., :6])
+
+
+def test_what_an_arm_does_not_follow_winds_up_without_a_leak() -> None:
+    # An arm that stands still where it is, under a lasting wish for more bend.
+    backbone, q = PCCBackbone(3), configurations((), 3, torch.float64, generator(0), elongation=0.0)
+    x, J = backbone.tip_and_jacobian(q, PI)
+    away = []
+    for leak in (0.0, 0.5):
+        ik = InverseKinematics(null_gain=0.0, null_bends=torch.tensor([0.2, 0.0, 0.0]).double(), null_leak=leak)
+        q_d, times = q, []
+        for _ in range(1500):
+            q_d = q_d + 0.02 * ik(J, torch.zeros_like(x), torch.zeros_like(x), q, None, q_d)
+            times.append(float((q_d - q).norm()))
+        away.append((times[749], times[-1]))
+    assert away[0][1] == pytest.approx(2.0 * away[0][0])  # 15 and 30 s
+    # It ends at the wish over lambda, which is what one second of the other gains, twice.
+    assert away[1][1] == pytest.approx(away[0][1] / 30.0 / 0.5, rel=1e-3)
+
+
+@given(seed=seeds)
 def test_speed_bounds_scale_whole_rows(seed: int) -> None:
     J, e, xdot_d, q = tasks(seed)
     free = InverseKinematics()(J, e, xdot_d, q)
