@@ -187,6 +187,7 @@ class Builder:
             given("controller.null_bends", k.null_bends),
             k.null_step,
             k.null_leak,
+            k.null_reach,
         )
         gains = given("residual.gains", c.residual.gains)
         return APCCController(

@@ -67,6 +67,8 @@ class InverseKinematics(nn.Module):
         null_leak: lambda, 1/s: grad_Psi has lambda (q - q_d) too, as far as the tip leaves it free. q_d is an integral:
             what the arm does not follow of a lasting grad_Psi, for want of a tendon or under a load, winds up in it
             until it meets its bounds, and then the tip goes astray. With lambda, q_d - q ends at grad_Psi / lambda.
+        null_reach: rad, where null_bends stop: beta_i (1 - |d_i|^2 / reach^2) with the bend d_i that q_d has, so that
+            growth ends, and a larger bend shrinks. None for growth without end, which Psi alone does not always stop.
 
     Raises:
         ShapeError: null_weights or null_bends has not one entry a section.
@@ -83,6 +85,7 @@ class InverseKinematics(nn.Module):
     null_bends: Tensor | None
     null_step: Setting | None
     null_leak: Setting
+    null_reach: Setting | None
 
     def __init__(
         self,
@@ -97,6 +100,7 @@ class InverseKinematics(nn.Module):
         null_bends: Tensor | None = None,
         null_step: Setting | None = None,
         null_leak: Setting = 0.0,
+        null_reach: Setting | None = None,
     ) -> None:
         super().__init__()
         self.coordinates = coordinates
@@ -109,7 +113,7 @@ class InverseKinematics(nn.Module):
         positive = {"damping": damping, "null_gain": null_gain, "null_leak": null_leak}
         for name, value in positive.items():
             check_setting(name, value, zero=True)
-        bounds = {"bend_rate": bend_rate, "length_rate": length_rate, "null_step": null_step}
+        bounds = {"bend_rate": bend_rate, "length_rate": length_rate, "null_step": null_step, "null_reach": null_reach}
         for name, bound in {"epsilon": epsilon, **bounds}.items():
             if bound is not None:
                 check_setting(name, bound)
@@ -133,7 +137,7 @@ class InverseKinematics(nn.Module):
             xdot_d: (..., 3) desired velocity, m/s.
             q: (..., n) configuration at which Psi is lowered.
             dt: (...) s for which the velocity is held, for `null_step`; None where it is not held.
-            q_d: (..., n) what the velocity is added to, for `null_leak`; None where that is q.
+            q_d: (..., n) what the velocity is added to, for `null_leak` and `null_reach`; None where that is q.
 
         Raises:
             ShapeError, DtypeError: The arguments do not fit each other.
@@ -157,8 +161,8 @@ class InverseKinematics(nn.Module):
     def descent(self, q: Tensor, dt: Tensor | None = None, q_d: Tensor | None = None) -> Tensor:
         """grad_Psi (..., n) of Eq. (16) at q (..., n): minus the null gain times the gradient of the smoothed Psi.
 
-        With `null_bends`, their growth too; with `null_step` and dt (...) s, as slow as that asks for; with `null_leak`
-        and q_d (..., n), what brings q_d back to q.
+        With `null_bends`, their growth too, up to `null_reach` in q_d (..., n); with `null_step` and dt (...) s, as
+        slow as that asks for; with `null_leak`, what brings q_d back to q.
         """
         for name, each in {"null_weights": self.null_weights, "null_bends": self.null_bends}.items():
             if each is not None:
@@ -166,7 +170,11 @@ class InverseKinematics(nn.Module):
         slope = elongation_gradient(q, self.epsilon, self.coordinates, self.null_weights)
         down = aligned(-self.null_gain, 1) * slope
         if self.null_bends is not None:
-            down = down + self.coordinates.on_bends(self.null_bends.to(q)) * q
+            beta = self.null_bends.to(q)
+            if self.null_reach is not None:
+                size = self.coordinates.bends(q if q_d is None else q_d).square().sum(-1)
+                beta = beta * (1.0 - size / aligned(self.null_reach, 1) ** 2)
+            down = down + self.coordinates.on_bends(beta) * q
         if self.null_step is not None and dt is not None:
             heaviest = 1.0 if self.null_weights is None else self.null_weights.to(q).amax(-1)
             fastest = self.null_gain * heaviest / self.epsilon * dt

@@ -150,6 +150,20 @@ def test_bends_grow_or_shrink_where_the_tip_leaves_them_free() -> None:
     assert last[0] < last[1] < last[2]
 
 
+def test_bends_grow_up_to_their_reach_and_shrink_beyond_it() -> None:
+    backbone, ends = PCCBackbone(3), []
+    ik = InverseKinematics(5.0, null_gain=0.0, null_bends=torch.tensor([0.0, 0.8, 0.0]).double(), null_reach=0.7)
+    for section_2 in (0.1, 1.2):
+        q = torch.tensor([0.3, 0.1, 0.0, section_2, 0.0, 0.0, -0.2, 0.3, 0.0]).double()
+        x = backbone.tip(q, PI)
+        for _ in range(1500):
+            tip, J = backbone.tip_and_jacobian(q, PI)
+            q = q + 0.02 * ik(J, x - tip, torch.zeros(3).double(), q, None, q)
+        assert float((backbone.tip(q, PI) - x).norm()) < 1e-3
+        ends.append(float(q[3:5].norm()))
+    assert ends == pytest.approx([0.7, 0.7], abs=1e-3)
+
+
 @given(seed=seeds)
 def test_the_leak_brings_q_d_back_and_leaves_the_tip(seed: int) -> None:
     J, e, xdot_d, q = tasks(seed)

@@ -40,6 +40,7 @@ def test_the_controllers_step_equals_its_eager_self(name: str, law: str) -> None
             null_bends=0.2 * PI,
             null_step=0.1,
             null_leak=0.3,
+            null_reach=1.5,
         ),
         AdaptiveLaw(3, 1.0, regressor="none" if law == "residual" else "estimator_aware"),
         routing=rack_routing(X),
