@@ -75,11 +75,10 @@ def solver(**settings: Any) -> Tensor:
 
 
 def solver_over_a_period(**settings: Any) -> Tensor:
-    made = InverseKinematics(
-        1.5, **{"null_gain": 0.5, "null_step": 0.1, "null_bends": rows(0.5, 0.2, -0.1), **settings}
-    )
+    shape = {"null_gain": 0.5, "null_step": 0.1, "null_bends": rows(0.5, 0.2, -0.1)}
+    made = InverseKinematics(1.5, **{**shape, **settings})
     arguments = randn(ROWS, 3, 9), randn(ROWS, 3, seed=1), randn(ROWS, 3, seed=2), 0.1 * randn(ROWS, 9, seed=3)
-    return made(*arguments, rows(0.01, 0.02, 0.03), 0.1 * randn(ROWS, 9, seed=4))
+    return made(*arguments, rows(0.01, 0.02, 0.03))
 
 
 def pid(**settings: Any) -> Tensor:
@@ -191,8 +190,7 @@ def sine(omega: Any) -> Tensor:
         (solver, "null_gain", (0.0, 0.2, 1.0)),
         (solver, "epsilon", (1e-3, 1e-2, 1.0)),
         (solver_over_a_period, "null_step", (0.01, 0.1, 0.5)),
-        (solver_over_a_period, "null_reach", (0.05, 0.2, 9.0)),
-        (solver_over_a_period, "null_leak", (0.0, 0.1, 2.0)),
+        (solver_over_a_period, "null_travel", (1e-3, 1.0, 9.0)),
         (solver_over_a_period, "epsilon", (1e-3, 1e-2, 1.0)),
         (solver, "bend_rate", (0.01, 0.1, 9.0)),
         (solver, "length_rate", (0.01, 0.1, 9.0)),

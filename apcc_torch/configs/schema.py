@@ -113,8 +113,7 @@ class ControllerConfig:
     null_weights: list[float] | None = None
     null_bends: list[float] | None = None
     null_step: float | None = None
-    null_leak: float = 0.0
-    null_reach: float | None = None
+    null_travel: float | None = None
     integral_gain: float = 0.0
     integral_reach: float = 1e-3
     bend_rate: float | None = None

@@ -205,8 +205,7 @@ class APCCController(nn.Module):
         dt: Tensor,
     ) -> tuple[Tensor, Tensor | None]:
         """qdot (..., n) of Eq. (16), with the model's chain at (q_bar, pi_hat), and `Command.limits`."""
-        J = chain.tip_jacobian()
-        return self.inverse_kinematics(J, e, target.xdot_d.expand_as(e), q_bar, dt, state.q_d), None
+        return self.inverse_kinematics(chain.tip_jacobian(), e, target.xdot_d.expand_as(e), q_bar, dt), None
 
     def _regressor_on(
         self, chain: Placed, followed: Tensor | None, q_bar: Tensor, qdot: Tensor, batch: torch.Size

@@ -8,7 +8,7 @@ from torch import Tensor, nn
 from apcc_torch.control.gain import gain_matrix
 from apcc_torch.linalg import damped_pseudo_inverse
 from apcc_torch.model.coordinates import CONSTANT_CURVATURE, Coordinates
-from apcc_torch.settings import Setting, aligned, check_setting, hold, hold_rows, is_used
+from apcc_torch.settings import Setting, aligned, check_setting, hold, hold_rows
 from apcc_torch.shapes import check_finite, check_same, check_tensor
 
 
@@ -61,14 +61,12 @@ class InverseKinematics(nn.Module):
         null_weights: (..., n_b) weights of the sections' elongations in the Psi that is lowered; None for 1, Eq. (50).
         null_bends: (..., n_b) beta, 1/s: grad_Psi has beta_i d_i on the bends d_i of section i too. As far as the tip
             leaves it free, a section with beta > 0 bends more and one with beta < 0 less; None for 0, Eq. (50).
+        null_travel: m. Bends grow while the tip travels, by beta |e|^2 / (|e|^2 + null_travel^2), and rest with it. Of
+            a growth that lasts, an arm at rest follows ever less: q_d winds up until it meets its bounds, and the tip
+            goes astray. None for growth that lasts.
         null_step: Largest share of the elongations that one period takes away; None for no bound. Near zero the term
             decays at up to null_gain max(null_weights) / epsilon, and held over a period it overshoots where that
             times the period comes near 1: a slow rate then feeds back the sensors' noise. The term is scaled whole.
-        null_leak: lambda, 1/s: grad_Psi has lambda (q - q_d) too, as far as the tip leaves it free. q_d is an integral:
-            what the arm does not follow of a lasting grad_Psi, for want of a tendon or under a load, winds up in it
-            until it meets its bounds, and then the tip goes astray. With lambda, q_d - q ends at grad_Psi / lambda.
-        null_reach: rad, where null_bends stop: beta_i (1 - |d_i|^2 / reach^2) with the bend d_i that q_d has, so that
-            growth ends, and a larger bend shrinks. None for growth without end, which Psi alone does not always stop.
 
     Raises:
         ShapeError: null_weights or null_bends has not one entry a section.
@@ -84,8 +82,7 @@ class InverseKinematics(nn.Module):
     null_weights: Tensor | None
     null_bends: Tensor | None
     null_step: Setting | None
-    null_leak: Setting
-    null_reach: Setting | None
+    null_travel: Setting | None
 
     def __init__(
         self,
@@ -99,8 +96,7 @@ class InverseKinematics(nn.Module):
         null_weights: Tensor | None = None,
         null_bends: Tensor | None = None,
         null_step: Setting | None = None,
-        null_leak: Setting = 0.0,
-        null_reach: Setting | None = None,
+        null_travel: Setting | None = None,
     ) -> None:
         super().__init__()
         self.coordinates = coordinates
@@ -110,25 +106,16 @@ class InverseKinematics(nn.Module):
             check_finite("null_bends", check_tensor("null_bends", null_bends, (None,)))
         K = gain_matrix("K", K, 3)
         hold_rows(self, K=(K, 2), null_weights=(null_weights, 1), null_bends=(null_bends, 1))
-        positive = {"damping": damping, "null_gain": null_gain, "null_leak": null_leak}
-        for name, value in positive.items():
+        for name, value in {"damping": damping, "null_gain": null_gain}.items():
             check_setting(name, value, zero=True)
-        bounds = {"bend_rate": bend_rate, "length_rate": length_rate, "null_step": null_step, "null_reach": null_reach}
+        bounds = {"bend_rate": bend_rate, "length_rate": length_rate, "null_step": null_step}
+        bounds["null_travel"] = null_travel
         for name, bound in {"epsilon": epsilon, **bounds}.items():
             if bound is not None:
                 check_setting(name, bound)
-        hold(self, **positive, epsilon=epsilon, **bounds)
-        self.leaks = is_used(null_leak)
+        hold(self, damping=damping, null_gain=null_gain, epsilon=epsilon, **bounds)
 
-    def forward(
-        self,
-        J_hat: Tensor,
-        e: Tensor,
-        xdot_d: Tensor,
-        q: Tensor,
-        dt: Tensor | None = None,
-        q_d: Tensor | None = None,
-    ) -> Tensor:
+    def forward(self, J_hat: Tensor, e: Tensor, xdot_d: Tensor, q: Tensor, dt: Tensor | None = None) -> Tensor:
         """Configuration velocity qdot (..., n), rad/s and m/s.
 
         Args:
@@ -137,7 +124,6 @@ class InverseKinematics(nn.Module):
             xdot_d: (..., 3) desired velocity, m/s.
             q: (..., n) configuration at which Psi is lowered.
             dt: (...) s for which the velocity is held, for `null_step`; None where it is not held.
-            q_d: (..., n) what the velocity is added to, for `null_leak` and `null_reach`; None where that is q.
 
         Raises:
             ShapeError, DtypeError: The arguments do not fit each other.
@@ -147,22 +133,20 @@ class InverseKinematics(nn.Module):
         check_tensor("xdot_d", xdot_d, (3,))
         check_tensor("q", q, (J_hat.shape[-1],))
         check_same(J_hat=J_hat, e=e, xdot_d=xdot_d, q=q)
-        if q_d is not None:
-            check_same(q=q, q_d=check_tensor("q_d", q_d, (J_hat.shape[-1],)))
         J_hat = self.coordinates.driven(J_hat)
         K = self.K.to(dtype=e.dtype, device=e.device)
         J_pinv = damped_pseudo_inverse(J_hat, aligned(self.damping, 2))
         velocity = xdot_d.unsqueeze(-1) + K @ e.unsqueeze(-1)
-        descent = self.descent(q, dt, q_d).unsqueeze(-1)
+        descent = self.descent(q, dt, e).unsqueeze(-1)
         # Eq. (16), with J^+ (v - J descent) + descent for J^+ v + (I - J^+ J) descent: one product fewer.
         qdot = (J_pinv @ (velocity - J_hat @ descent) + descent).squeeze(-1)
         return self.bounded(qdot)
 
-    def descent(self, q: Tensor, dt: Tensor | None = None, q_d: Tensor | None = None) -> Tensor:
+    def descent(self, q: Tensor, dt: Tensor | None = None, e: Tensor | None = None) -> Tensor:
         """grad_Psi (..., n) of Eq. (16) at q (..., n): minus the null gain times the gradient of the smoothed Psi.
 
-        With `null_bends`, their growth too, up to `null_reach` in q_d (..., n); with `null_step` and dt (...) s, as
-        slow as that asks for; with `null_leak`, what brings q_d back to q.
+        With `null_bends`, their growth too, with `null_travel` as far as the tip's error e (..., 3) m lets it; with
+        `null_step` and dt (...) s, as slow as that asks for.
         """
         for name, each in {"null_weights": self.null_weights, "null_bends": self.null_bends}.items():
             if each is not None:
@@ -170,18 +154,16 @@ class InverseKinematics(nn.Module):
         slope = elongation_gradient(q, self.epsilon, self.coordinates, self.null_weights)
         down = aligned(-self.null_gain, 1) * slope
         if self.null_bends is not None:
-            beta = self.null_bends.to(q)
-            if self.null_reach is not None:
-                size = self.coordinates.bends(q if q_d is None else q_d).square().sum(-1)
-                beta = beta * (1.0 - size / aligned(self.null_reach, 1) ** 2)
-            down = down + self.coordinates.on_bends(beta) * q
-        if self.null_step is not None and dt is not None:
-            heaviest = 1.0 if self.null_weights is None else self.null_weights.to(q).amax(-1)
-            fastest = self.null_gain * heaviest / self.epsilon * dt
-            down = down * (self.null_step / fastest.clamp(min=1e-12)).clamp(max=1.0).unsqueeze(-1)
-        if self.leaks and q_d is not None:
-            down = down + aligned(self.null_leak, 1) * self.coordinates.driven(q - q_d)
-        return down
+            growth = self.null_bends.to(q)
+            if self.null_travel is not None and e is not None:
+                squared = (e * e).sum(-1, keepdim=True)
+                growth = growth * squared / (squared + aligned(self.null_travel, 1) ** 2)
+            down = down + self.coordinates.on_bends(growth) * q
+        if self.null_step is None or dt is None:
+            return down
+        heaviest = 1.0 if self.null_weights is None else self.null_weights.to(q).amax(-1)
+        fastest = self.null_gain * heaviest / self.epsilon * dt
+        return down * (self.null_step / fastest.clamp(min=1e-12)).clamp(max=1.0).unsqueeze(-1)
 
     def bounded(self, qdot: Tensor) -> Tensor:
         """qdot (..., n), each row over a bound scaled whole."""
