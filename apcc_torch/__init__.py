@@ -11,8 +11,9 @@ from apcc_torch.control.controller import APCCController
 from apcc_torch.control.inverse_kinematics import InverseKinematics
 from apcc_torch.control.signals import Command, ControllerState, Measurement, Target
 from apcc_torch.errors import ApccError
+from apcc_torch.estimation.feedback import Feedback, FeedbackStatus
 from apcc_torch.estimation.savitzky_golay import SavitzkyGolay
-from apcc_torch.estimation.state_feedback import Feedback, FeedbackStatus, StateFeedback
+from apcc_torch.estimation.state_feedback import StateFeedback
 from apcc_torch.model.abscissae import decouple
 from apcc_torch.model.affine import AffineBackbone
 from apcc_torch.model.backbone import PCCBackbone

@@ -33,6 +33,19 @@ def check_setting(name: str, value: Given, zero: bool = False) -> Given:
     return value
 
 
+def check_settings(**settings: Setting | None) -> None:
+    """`check_setting` of each, by its name; None, of a setting that may be left out, passes."""
+    for name, value in settings.items():
+        if value is not None:
+            check_setting(name, value)
+
+
+def check_settings_or_zero(**settings: Setting) -> None:
+    """`check_setting` of each, by its name; zero passes."""
+    for name, value in settings.items():
+        check_setting(name, value, zero=True)
+
+
 def hold(module: nn.Module, **settings: Setting | None) -> None:
     """Makes settings attributes of a module; tensors become buffers, so that they move with it."""
     for name, value in settings.items():

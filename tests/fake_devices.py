@@ -11,7 +11,7 @@ import torch
 
 from apcc_torch.control.signals import Command, ControllerState, Measurement, Target
 from apcc_torch.errors import CommunicationError, DeviceFaultError, HardwareError, ValueRangeError
-from apcc_torch.estimation.state_feedback import Feedback
+from apcc_torch.estimation.feedback import Feedback
 from apcc_torch.hardware.clock import VirtualClock
 from apcc_torch.hardware.interfaces import PoseSample, PoseSensor, TendonActuator, TendonReading
 from apcc_torch.hardware.records import Event, Tick

@@ -27,16 +27,8 @@ ROWS: dict[str, frozenset[str]] = {
     "pose_filter": frozenset({"angular_time", "linear_time", "follow"}),
     "velocity_filter": frozenset({"window"}),
     "controller": frozenset(
-        {"K", "gamma", "damping", "null_gain", "epsilon", "null_weights", "null_bends", "null_step"}
-        | {
-            "null_travel",
-            "integral_gain",
-            "integral_reach",
-            "bend_rate",
-            "length_rate",
-            "bend_bound",
-            "elongation_bound",
-        }
+        {"K", "gamma", "damping", "null_gain", "epsilon", "null_weights", "null_bends", "null_step", "null_travel"}
+        | {"integral_gain", "integral_reach", "bend_rate", "length_rate", "bend_bound", "elongation_bound"}
     ),
     "residual": frozenset(
         {"angular_weight", "time_constant", "elongation_weight", "nominal_weight", "total_weight", "damping"}

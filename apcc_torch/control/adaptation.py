@@ -8,7 +8,7 @@ from torch import Tensor, nn
 from apcc_torch.control.bounds import scaled_within
 from apcc_torch.control.gain import gain_matrix
 from apcc_torch.errors import ValueRangeError
-from apcc_torch.settings import Setting, aligned, check_setting, hold, hold_rows, is_used
+from apcc_torch.settings import Setting, aligned, check_settings, check_settings_or_zero, hold, hold_rows, is_used
 from apcc_torch.shapes import check_finite, check_same, check_tensor
 
 REGRESSORS = ("partial", "estimator_aware", "none")
@@ -72,10 +72,8 @@ class AdaptiveLaw(nn.Module):
         if regressor not in REGRESSORS:
             raise ValueRangeError(f"regressor must be one of {', '.join(REGRESSORS)}, got {regressor!r}")
         hold_rows(self, gamma=(gain_matrix("gamma", gamma, n_sections), 2))
-        for name, value in {"normalisation": normalisation, "dead_zone": dead_zone}.items():
-            check_setting(name, value, zero=True)
-        if rate is not None:
-            check_setting("rate", rate)
+        check_settings_or_zero(normalisation=normalisation, dead_zone=dead_zone)
+        check_settings(rate=rate)
         for name, bound in {"lower": lower, "upper": upper}.items():
             if bound is not None:
                 check_finite(name, check_tensor(name, bound, (n_sections,)))

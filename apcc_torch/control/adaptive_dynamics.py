@@ -29,7 +29,7 @@ from torch import Tensor, nn
 from apcc_torch.errors import ValueRangeError
 from apcc_torch.linalg import solve_spd
 from apcc_torch.model.dynamics_regressor import PARAMETERS
-from apcc_torch.settings import check_setting, hold_rows
+from apcc_torch.settings import check_settings, check_settings_or_zero, hold_rows
 from apcc_torch.shapes import check_finite, check_same, check_tensor
 
 
@@ -106,10 +106,8 @@ class AdaptiveDynamics(nn.Module):
             raise ValueRangeError("nominal must be between lower and upper, and lower below upper, for every parameter")
         if not bool((lower >= 0).all()):
             raise ValueRangeError("lower must not be negative: no parameter of the dynamics is")
-        for name, value in {"filter_time": filter_time, "torque_noise": torque_noise, "length": length}.items():
-            check_setting(name, value)
-        for name, value in {"tracking_gain": tracking_gain, "dead_zone": dead_zone}.items():
-            check_setting(name, value, zero=True)
+        check_settings(filter_time=filter_time, torque_noise=torque_noise, length=length)
+        check_settings_or_zero(tracking_gain=tracking_gain, dead_zone=dead_zone)
         if not memory > 0:
             raise ValueRangeError(f"memory must be positive, got {memory}")
         hold_rows(self, nominal=(nominal.clone(), 1), deviation=(deviation.clone(), 1))

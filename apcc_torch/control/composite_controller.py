@@ -21,7 +21,7 @@ from apcc_torch.linalg import damped_pseudo_inverse
 from apcc_torch.model.dynamics_regressor import DynamicsRegressor
 from apcc_torch.model.kinematic_model import KinematicModel
 from apcc_torch.model.tendons import TendonRouting
-from apcc_torch.settings import check_setting
+from apcc_torch.settings import check_settings, check_settings_or_zero
 from apcc_torch.shapes import check_tensor
 
 
@@ -96,13 +96,8 @@ class CompositeController(nn.Module):
         super().__init__()
         if kinematic.routing is None:
             raise ConfigError("a controller with a model of the dynamics needs a tendon routing")
-        settings = {"reference_time": reference_time, "pseudo_damping": pseudo_damping}
-        if force_limit is not None:
-            settings["force_limit"] = force_limit
-        for name, value in settings.items():
-            check_setting(name, value)
-        for name, value in {"stiffness": stiffness, "damping": damping}.items():
-            check_setting(name, value, zero=True)
+        check_settings(reference_time=reference_time, pseudo_damping=pseudo_damping, force_limit=force_limit)
+        check_settings_or_zero(stiffness=stiffness, damping=damping)
         self.kinematic = kinematic
         self.dynamics = regressor
         self.law = law

@@ -13,12 +13,13 @@ from apcc_torch.control.residual_adaptation import Evidence, ResidualLaw
 from apcc_torch.control.signals import Command, ControllerState, Measurement, Target
 from apcc_torch.control.task_integral import TaskIntegral
 from apcc_torch.errors import ValueRangeError
+from apcc_torch.estimation.feedback import Inference
 from apcc_torch.estimation.pose_filter import PoseFilter, PoseFilterState
 from apcc_torch.estimation.savitzky_golay import SavitzkyGolay
-from apcc_torch.estimation.state_feedback import Inference, StateFeedback
+from apcc_torch.estimation.state_feedback import StateFeedback
 from apcc_torch.model.kinematic_model import KinematicModel, Placed
 from apcc_torch.model.tendons import TendonRouting
-from apcc_torch.settings import Setting, check_setting, hold
+from apcc_torch.settings import Setting, check_setting, check_settings, hold
 from apcc_torch.shapes import batch_shape, check_same, check_tensor
 
 VELOCITIES = ("measured", "commanded")
@@ -82,14 +83,8 @@ class APCCController(nn.Module):
         super().__init__()
         if velocity not in VELOCITIES:
             raise ValueRangeError(f"velocity must be one of {', '.join(VELOCITIES)}, got {velocity!r}")
-        bounds = {
-            "bend_bound": bend_bound,
-            "elongation_bound": elongation_bound,
-            "integration_limit": integration_limit,
-        }
-        for name, bound in bounds.items():
-            if bound is not None:
-                check_setting(name, bound)
+        bounds = {"bend_bound": bend_bound, "elongation_bound": elongation_bound}
+        check_settings(**bounds, integration_limit=integration_limit)
         self.backbone = backbone
         self.feedback = feedback
         self.velocity_filter = velocity_filter
@@ -101,7 +96,7 @@ class APCCController(nn.Module):
         self.routing = routing
         self.adaptive = adaptive
         self.velocity = velocity
-        hold(self, bend_bound=bend_bound, elongation_bound=elongation_bound)
+        hold(self, **bounds)
         self.reference_damping = check_setting("reference_damping", reference_damping, zero=True)
         self.integration_limit = integration_limit
 

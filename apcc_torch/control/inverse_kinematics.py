@@ -8,7 +8,7 @@ from torch import Tensor, nn
 from apcc_torch.control.gain import gain_matrix
 from apcc_torch.linalg import damped_pseudo_inverse
 from apcc_torch.model.coordinates import CONSTANT_CURVATURE, Coordinates
-from apcc_torch.settings import Setting, aligned, check_setting, hold, hold_rows
+from apcc_torch.settings import Setting, aligned, check_setting, check_settings, check_settings_or_zero, hold, hold_rows
 from apcc_torch.shapes import check_finite, check_same, check_tensor
 
 
@@ -106,14 +106,12 @@ class InverseKinematics(nn.Module):
             check_finite("null_bends", check_tensor("null_bends", null_bends, (None,)))
         K = gain_matrix("K", K, 3)
         hold_rows(self, K=(K, 2), null_weights=(null_weights, 1), null_bends=(null_bends, 1))
-        for name, value in {"damping": damping, "null_gain": null_gain}.items():
-            check_setting(name, value, zero=True)
-        bounds = {"bend_rate": bend_rate, "length_rate": length_rate, "null_step": null_step}
-        bounds["null_travel"] = null_travel
-        for name, bound in {"epsilon": epsilon, **bounds}.items():
-            if bound is not None:
-                check_setting(name, bound)
-        hold(self, damping=damping, null_gain=null_gain, epsilon=epsilon, **bounds)
+        weights = {"damping": damping, "null_gain": null_gain}
+        scales = {"epsilon": epsilon, "null_step": null_step, "null_travel": null_travel}
+        bounds = {"bend_rate": bend_rate, "length_rate": length_rate}
+        check_settings_or_zero(**weights)
+        check_settings(**scales, **bounds)
+        hold(self, **weights, **scales, **bounds)
 
     def forward(self, J_hat: Tensor, e: Tensor, xdot_d: Tensor, q: Tensor, dt: Tensor | None = None) -> Tensor:
         """Configuration velocity qdot (..., n), rad/s and m/s.

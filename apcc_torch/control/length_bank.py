@@ -21,12 +21,11 @@ from apcc_torch.estimation.sensor_curve import SensorCurve
 from apcc_torch.estimation.state_feedback import StateFeedback
 from apcc_torch.model.abscissae import located
 from apcc_torch.model.kinematic_model import KinematicModel
-from apcc_torch.settings import Setting, aligned, check_setting, hold, hold_rows, is_used
+from apcc_torch.settings import Setting, aligned, check_settings, check_settings_or_zero, hold, hold_rows, is_used
 from apcc_torch.shapes import check_finite, check_tensor
 
 UNSEEN = 1.0
 """V of a model before its first visit, m^2: more than any arm can leave, and finite, so that gradients are."""
-
 
 Shares = Sequence[float] | Sequence[Sequence[float]] | Sequence[Tensor]
 """What sections are tried with: one list for all but the last, or one for each of them, where (..., c) one a row."""
@@ -118,8 +117,6 @@ class LengthBank(nn.Module):
     ) -> None:
         super().__init__()
         positive = {"time_constant": time_constant, "rate": rate, "resolution": resolution}
-        for name, value in positive.items():
-            check_setting(name, value)
         weights = {
             "elongation_weight": elongation_weight,
             "nominal_weight": nominal_weight,
@@ -128,8 +125,8 @@ class LengthBank(nn.Module):
             "stretch": stretch,
             "total_range": total_range,
         }
-        for name, value in weights.items():
-            check_setting(name, value, zero=True)
+        check_settings(**positive)
+        check_settings_or_zero(**weights)
         if bool((torch.as_tensor(total_range) >= 1).any()):
             raise ValueRangeError(f"total_range must be below 1, got {total_range}")
         check_finite("nominal", check_tensor("nominal", nominal, (None,)))

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor, nn
 
 from apcc_torch.control.bounds import within
-from apcc_torch.settings import Setting, aligned, check_setting, hold
+from apcc_torch.settings import Setting, aligned, check_settings, check_settings_or_zero, hold
 from apcc_torch.shapes import check_same, check_tensor
 
 
@@ -44,12 +44,11 @@ class TendonPID(nn.Module):
         integral_limit: Setting | None = None,
     ) -> None:
         super().__init__()
-        for name, gain in {"K_P": K_P, "K_I": K_I, "K_D": K_D}.items():
-            check_setting(name, gain, zero=True)
-        for name, bound in {"force_limit": force_limit, "integral_limit": integral_limit}.items():
-            if bound is not None:
-                check_setting(name, bound)
-        hold(self, K_P=K_P, K_I=K_I, K_D=K_D, force_limit=force_limit, integral_limit=integral_limit)
+        gains = {"K_P": K_P, "K_I": K_I, "K_D": K_D}
+        limits = {"force_limit": force_limit, "integral_limit": integral_limit}
+        check_settings_or_zero(**gains)
+        check_settings(**limits)
+        hold(self, **gains, **limits)
 
     def forward(
         self, z: Tensor, y: Tensor, ydot: Tensor, y_d: Tensor, ydot_d: Tensor, force: Tensor | None = None

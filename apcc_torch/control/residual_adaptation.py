@@ -27,7 +27,7 @@ from apcc_torch.lie import se3
 from apcc_torch.linalg import solve_spd
 from apcc_torch.model.abscissae import located
 from apcc_torch.model.kinematic_model import KinematicModel
-from apcc_torch.settings import Setting, aligned, check_setting, hold, hold_rows, is_used
+from apcc_torch.settings import Setting, aligned, check_settings, check_settings_or_zero, hold, hold_rows, is_used
 from apcc_torch.shapes import check_finite, check_tensor
 
 TARGETS = ("curve", "sensors")
@@ -119,8 +119,6 @@ class ResidualLaw(nn.Module):
         if target == "curve" and curve is None:
             raise ConfigError("target curve needs a curve")
         positive = {"time_constant": time_constant, "damping": damping, "rate": rate}
-        for name, value in positive.items():
-            check_setting(name, value)
         weights = {
             "angular_weight": angular_weight,
             "elongation_weight": elongation_weight,
@@ -129,8 +127,8 @@ class ResidualLaw(nn.Module):
             "excitation": excitation,
             "memory": memory,
         }
-        for name, value in weights.items():
-            check_setting(name, value, zero=True)
+        check_settings(**positive)
+        check_settings_or_zero(**weights)
         check_finite("nominal", check_tensor("nominal", nominal, (None,)))
         gains = torch.ones_like(nominal) if gains is None else check_tensor("gains", gains, (nominal.shape[-1],))
         if not bool((check_finite("gains", gains) >= 0).all()):

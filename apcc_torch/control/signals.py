@@ -9,9 +9,9 @@ from torch import Tensor
 from apcc_torch.control.length_bank import BankEvidence
 from apcc_torch.control.residual_adaptation import Evidence
 from apcc_torch.control.tasks import TaskTarget
+from apcc_torch.estimation.feedback import Feedback
 from apcc_torch.estimation.pose_filter import PoseFilterState
 from apcc_torch.estimation.savitzky_golay import SavitzkyGolayState
-from apcc_torch.estimation.state_feedback import Feedback
 
 
 class Measurement(NamedTuple):

@@ -26,7 +26,7 @@ from apcc_torch.envs.streams import Stream
 from apcc_torch.envs.tasks import DISTANCE, POSITION, SPEED, TASKS, Goal, Task
 from apcc_torch.errors import ConfigError
 from apcc_torch.model.backbone import PCCBackbone
-from apcc_torch.settings import check_setting
+from apcc_torch.settings import check_settings
 
 DYNAMICS = ("kinematic", "dynamic")
 TENDON = 0.5
@@ -126,10 +126,7 @@ class Setup:
             raise ConfigError(f"dynamics must be one of {', '.join(DYNAMICS)}, got {self.dynamics!r}")
         if self.dynamics == "kinematic" and self.arm.model is not PCCBackbone:
             raise ConfigError("model must be PCCBackbone where the arm is kinematic: it follows q_d itself")
-        for name in ("control_rate", "substeps", "max_episode_steps"):
-            value = getattr(self, name)
-            if value is not None:
-                check_setting(name, value)
+        check_settings(control_rate=self.control_rate, substeps=self.substeps, max_episode_steps=self.max_episode_steps)
 
 
 class Simulator(nn.Module):

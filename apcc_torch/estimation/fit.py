@@ -9,7 +9,8 @@ from torch import Tensor
 
 from apcc_torch.estimation.step import Residual
 from apcc_torch.lie import se3, so3
-from apcc_torch.model.kinematic_model import KinematicModel, MaterialPoints
+from apcc_torch.model.abscissae import MaterialPoints
+from apcc_torch.model.kinematic_model import KinematicModel
 
 
 class Problem(NamedTuple):

@@ -17,7 +17,8 @@ from apcc_torch.errors import GradientError
 from apcc_torch.estimation.fit import Fit, Problem, evaluate
 from apcc_torch.estimation.iteration import Outcome
 from apcc_torch.estimation.step import Residual, hierarchical_step
-from apcc_torch.model.kinematic_model import KinematicModel, MaterialPoints
+from apcc_torch.model.abscissae import MaterialPoints
+from apcc_torch.model.kinematic_model import KinematicModel
 
 # Of what no sensor sees, far below any sensor's reach squared, m^2: such directions of q_bar get no gradient.
 UNSEEN = 1e-10

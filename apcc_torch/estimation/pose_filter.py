@@ -14,8 +14,9 @@ from torch import Tensor, nn
 
 from apcc_torch.errors import ValueRangeError
 from apcc_torch.lie import se3, so3
-from apcc_torch.model.kinematic_model import KinematicModel, MaterialPoints
-from apcc_torch.settings import Setting, aligned, check_setting, hold
+from apcc_torch.model.abscissae import MaterialPoints
+from apcc_torch.model.kinematic_model import KinematicModel
+from apcc_torch.settings import Setting, aligned, check_settings_or_zero, hold
 
 LONG_AGO = 1e9
 """s since the last reading of a sensor that was never read."""
@@ -69,12 +70,11 @@ class PoseFilter(nn.Module):
         self, angular_time: Setting = 0.05, linear_time: Setting = 0.0, follow: Setting = 0.8, delay: int = 0
     ) -> None:
         super().__init__()
-        times = {"angular_time": angular_time, "linear_time": linear_time}
-        for name, value in {**times, "follow": follow}.items():
-            check_setting(name, value, zero=True)
+        settings = {"angular_time": angular_time, "linear_time": linear_time, "follow": follow}
+        check_settings_or_zero(**settings)
         if delay < 0:
             raise ValueRangeError(f"delay must be zero or more periods, got {delay}")
-        hold(self, **times, follow=follow)
+        hold(self, **settings)
         self.delay = delay
 
     def initial_state(self, q: Tensor, k: int) -> PoseFilterState:

@@ -2,68 +2,22 @@
 
 from __future__ import annotations
 
-from enum import IntEnum
-from typing import NamedTuple
-
 import torch
 from torch import Tensor, nn
 
 from apcc_torch.errors import DtypeError, ShapeError, ValueRangeError
+from apcc_torch.estimation.feedback import Feedback, FeedbackStatus, Inference
 from apcc_torch.estimation.fit import Problem
 from apcc_torch.estimation.implicit import attached
 from apcc_torch.estimation.iteration import Rules, iterate
 from apcc_torch.estimation.step import Residual, damped_step, row_weights
-from apcc_torch.model.abscissae import located
-from apcc_torch.model.kinematic_model import KinematicModel, MaterialPoints, Placed
-from apcc_torch.settings import Setting, aligned, check_setting, hold, hold_rows
+from apcc_torch.model.abscissae import MaterialPoints, located
+from apcc_torch.model.kinematic_model import KinematicModel, Placed
+from apcc_torch.settings import Setting, aligned, check_settings, hold, hold_rows
 from apcc_torch.shapes import batch_shape, check_finite, check_same, check_tensor
 
 MODES = ("position", "pose", "hierarchical")
 GRADIENTS = ("implicit", "unrolled")
-
-
-class FeedbackStatus(IntEnum):
-    """How a row of the estimate ended."""
-
-    CONVERGED = 0
-    """Every sensor is within both thresholds."""
-    SETTLED = 1
-    """The step became negligible with a residual above the thresholds: the model cannot fit the sensors better."""
-    ITERATION_LIMIT = 2
-    """The iterations ran out first."""
-    INVALID = 3
-    """No usable sensor, or a non-finite seed or parameter: q_bar is the seed."""
-
-
-class Feedback(NamedTuple):
-    """Result of algorithm 2.
-
-    q_bar: (..., n) inferred configuration.
-    angular_error: (..., k) norm of the angular part of Eq. (30), rad; 0 for a sensor that is masked.
-    linear_error: (..., k) norm of the linear part of Eq. (30), or of Eq. (32) outside mode "pose", m; 0 for a sensor
-        that is masked.
-    iterations: (...) int64 steps computed.
-    status: (...) int64 `FeedbackStatus`.
-    """
-
-    q_bar: Tensor
-    angular_error: Tensor
-    linear_error: Tensor
-    iterations: Tensor
-    status: Tensor
-
-
-class Inference(NamedTuple):
-    """Algorithm 2's result with what `StateFeedback.followed` needs of it.
-
-    feedback: The result.
-    pi_hat: (..., n_b) the parameters it was inferred with, m.
-    problem: The sensors.
-    """
-
-    feedback: Feedback
-    pi_hat: Tensor
-    problem: Problem
 
 
 class StateFeedback(nn.Module):
@@ -140,17 +94,15 @@ class StateFeedback(nn.Module):
             raise ValueRangeError(f"mode must be one of {', '.join(MODES)}, got {mode!r}")
         if gradient not in GRADIENTS:
             raise ValueRangeError(f"gradient must be one of {', '.join(GRADIENTS)}, got {gradient!r}")
-        positive: dict[str, Setting] = {
+        settings = {
             "angular_weight": angular_weight,
-            "max_iterations": max_iterations,
             "linear_threshold": linear_threshold,
             "angular_threshold": angular_threshold,
             "bend_step": bend_step,
             "length_step": length_step,
             "damping": damping,
         }
-        for name, value in positive.items():
-            check_setting(name, value)
+        check_settings(**settings, max_iterations=max_iterations)
         if not 0 <= min_iterations <= max_iterations:
             raise ValueRangeError(f"min_iterations must be between 0 and max_iterations, got {min_iterations}")
         self.backbone = backbone
@@ -158,9 +110,7 @@ class StateFeedback(nn.Module):
         self.gradient = gradient
         self.max_iterations = max_iterations
         self.min_iterations = min_iterations
-        hold(self, angular_weight=angular_weight, settled_step=settled_step, damping=damping)
-        hold(self, linear_threshold=linear_threshold, angular_threshold=angular_threshold)
-        hold(self, bend_step=bend_step, length_step=length_step)
+        hold(self, **settings, settled_step=settled_step)
         hold_rows(self, abscissae=(abscissae.clone(), 1))
 
     def forward(

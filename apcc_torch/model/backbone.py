@@ -6,10 +6,11 @@ import torch
 from torch import Tensor
 
 from apcc_torch.lie import se3
+from apcc_torch.model.abscissae import MaterialPoints
 from apcc_torch.model.arc import arc_pose, squared_bend
 from apcc_torch.model.chain import Chain, build_chain
 from apcc_torch.model.coordinates import CONSTANT_CURVATURE
-from apcc_torch.model.kinematic_model import KinematicModel, MaterialPoints
+from apcc_torch.model.kinematic_model import KinematicModel
 from apcc_torch.model.regressor import linear_regressor
 from apcc_torch.model.tendons import TendonRouting
 

@@ -8,38 +8,18 @@ elongation delta L of a section adds to its rest length, so Y is the columns of 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import NamedTuple, Protocol
+from typing import Protocol
 
 import torch
 from torch import Tensor, nn
 
 from apcc_torch.errors import DtypeError, ShapeError, ValueRangeError
 from apcc_torch.lie import se3
-from apcc_torch.model.abscissae import decouple, section_fractions
+from apcc_torch.model.abscissae import MaterialPoints, decouple, section_fractions
 from apcc_torch.model.coordinates import Coordinates
 from apcc_torch.model.tendons import TendonRouting
 from apcc_torch.settings import hold_rows
 from apcc_torch.shapes import batch_shape, check_same, check_tensor
-
-
-class MaterialPoints(NamedTuple):
-    """Where k material points lie on an arm, whatever its configuration.
-
-    fraction: (..., k, n_b) part of each section that lies before the point.
-    length: (..., k, n_b) rest length of that part, m.
-    section: (..., k) int64 zero-based index of the section that the point is in.
-    """
-
-    fraction: Tensor
-    length: Tensor
-    section: Tensor
-
-    def with_tip(self, L0: Tensor) -> MaterialPoints:
-        """The points and after them the arm's tip, for rest lengths L0 (..., n_b) of the same leading shape."""
-        n_b = L0.shape[-1]
-        fraction = torch.nn.functional.pad(self.fraction, (0, 0, 0, 1), value=1.0)
-        section = torch.nn.functional.pad(self.section, (0, 1), value=n_b - 1)
-        return MaterialPoints(fraction, torch.cat((self.length, L0.unsqueeze(-2)), dim=-2), section)
 
 
 class Placed(Protocol):

@@ -12,10 +12,10 @@ import torch
 from torch import Tensor, nn
 
 from apcc_torch.errors import ConfigError, ValueRangeError
-from apcc_torch.model.abscissae import decouple, located
+from apcc_torch.model.abscissae import MaterialPoints, decouple, located
 from apcc_torch.model.inertia import quadrature_nodes
-from apcc_torch.model.kinematic_model import KinematicModel, MaterialPoints
-from apcc_torch.settings import Setting, aligned, check_setting, hold
+from apcc_torch.model.kinematic_model import KinematicModel
+from apcc_torch.settings import Setting, aligned, check_setting, check_settings, hold
 from apcc_torch.shapes import batch_shape, check_same, check_tensor
 
 
@@ -57,9 +57,7 @@ class StaticBody(nn.Module):
         if n_quadrature < 2:
             raise ValueRangeError(f"n_quadrature must be at least 2, got {n_quadrature}")
         given = {"axial": axial, "bending": bending, "torsion": torsion, "shear": shear}
-        for name, value in {"density": density, **given}.items():
-            if value is not None:
-                check_setting(name, value)
+        check_settings(density=density, **given)
         for coordinate in backbone.coordinates.pattern:
             if coordinate.name not in _RIGIDITY:
                 raise ConfigError(f"the elasticity of {coordinate.name!r} is not known")

@@ -22,8 +22,9 @@ import torch
 from torch import Tensor
 
 from apcc_torch.lie import se3
+from apcc_torch.model.abscissae import MaterialPoints
 from apcc_torch.model.coordinates import Coordinates
-from apcc_torch.model.kinematic_model import KinematicModel, MaterialPoints
+from apcc_torch.model.kinematic_model import KinematicModel
 from apcc_torch.model.strain_chain import Chosen, StrainChain, Twists, build_strain_chain, rod_poses, spread
 from apcc_torch.model.tendons import TendonRouting
 

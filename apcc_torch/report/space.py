@@ -147,16 +147,16 @@ class Space:
         ticks = self._ticks(axis)
         if room < 0.35:
             ticks = ticks[:: max(1, len(ticks) - 1)]
-        for tick in ticks:
+        numbers = [f"{tick:.3g}".replace("-", "−") for tick in ticks]
+        for tick, number in zip(ticks, numbers, strict=True):
             at = start.copy()
             at[axis] = tick
-            self._text(
-                f"{tick:.3g}".replace("-", "−"), at, offset, color=style.MUTED, fontsize=9.5, ha=align[0], va=align[1]
-            )
+            self._text(number, at, offset, color=style.MUTED, fontsize=9.5, ha=align[0], va=align[1])
         upright = axis == 2
         look = {"rotation": 90 if upright else 0, "ha": "center", "va": "center" if upright else "top"}
         steep = min(1.0, abs(float(span[1])) / (abs(float(span[0])) + 1e-12))
-        aside = 14 + 14 * steep
+        # Beside a steep edge the name stands next to the numbers, beneath a flat one under them.
+        aside = 14 + 5 * steep * max(map(len, numbers), default=0)
         away = (-32, 0) if upright else (round(-aside if align[0] == "right" else aside), round(10 * steep) - 19)
         self._text(f"{'xyz'[axis]} (m)", 0.5 * (start + end), away, color=style.INK, fontsize=10.5, **look)
 

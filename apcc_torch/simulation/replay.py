@@ -10,8 +10,9 @@ from torch import Tensor
 from apcc_torch.control.controller import APCCController
 from apcc_torch.control.signals import Measurement, Target
 from apcc_torch.errors import ConfigError, DataError, ShapeError, ValueRangeError
+from apcc_torch.estimation.feedback import Feedback
 from apcc_torch.estimation.savitzky_golay import SavitzkyGolay, SavitzkyGolayState
-from apcc_torch.estimation.state_feedback import Feedback, StateFeedback
+from apcc_torch.estimation.state_feedback import StateFeedback
 from apcc_torch.lie import se3
 from apcc_torch.model.kinematic_model import KinematicModel
 from apcc_torch.simulation.calibration import Calibration

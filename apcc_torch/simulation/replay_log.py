@@ -12,7 +12,8 @@ import torch
 from torch import Tensor
 
 from apcc_torch.errors import DataError, ShapeError
-from apcc_torch.estimation.state_feedback import FeedbackStatus, StateFeedback
+from apcc_torch.estimation.feedback import FeedbackStatus
+from apcc_torch.estimation.state_feedback import StateFeedback
 from apcc_torch.files import write_arrays
 from apcc_torch.model.abscissae import decouple
 from apcc_torch.simulation.calibration import rotation_angle

@@ -9,7 +9,7 @@ from torch import Tensor, nn
 
 from apcc_torch.errors import ValueRangeError
 from apcc_torch.lie import se3
-from apcc_torch.settings import Setting, aligned, check_setting, hold, is_used
+from apcc_torch.settings import Setting, aligned, check_settings_or_zero, hold, is_used
 from apcc_torch.shapes import check_tensor
 
 
@@ -53,8 +53,7 @@ class PoseSensors(nn.Module):
         shared: int = 0,
     ) -> None:
         super().__init__()
-        for name, value in {"position_noise": position_noise, "angular_noise": angular_noise}.items():
-            check_setting(name, value, zero=True)
+        check_settings_or_zero(position_noise=position_noise, angular_noise=angular_noise)
         if delay < 0:
             raise ValueRangeError(f"delay must be zero or more readings, got {delay}")
         for chance in dropout.flatten().tolist() if isinstance(dropout, Tensor) else (dropout,):

@@ -15,9 +15,10 @@ from apcc_torch.control.inverse_kinematics import InverseKinematics
 from apcc_torch.control.signals import Command, ControllerState, Measurement, Target
 from apcc_torch.control.task_integral import TaskIntegral
 from apcc_torch.errors import DtypeError, ShapeError, ValueRangeError
+from apcc_torch.estimation.feedback import FeedbackStatus
 from apcc_torch.estimation.pose_filter import PoseFilter
 from apcc_torch.estimation.savitzky_golay import SavitzkyGolay
-from apcc_torch.estimation.state_feedback import FeedbackStatus, StateFeedback
+from apcc_torch.estimation.state_feedback import StateFeedback
 from apcc_torch.lie import se3, so3
 from apcc_torch.model.abscissae import decouple
 from apcc_torch.model.backbone import PCCBackbone

@@ -10,7 +10,8 @@ import torch
 from torch import Tensor
 
 from apcc_torch.errors import GradientError, ValueRangeError
-from apcc_torch.estimation.state_feedback import Feedback, FeedbackStatus, StateFeedback
+from apcc_torch.estimation.feedback import Feedback, FeedbackStatus
+from apcc_torch.estimation.state_feedback import StateFeedback
 from apcc_torch.lie import se3
 from apcc_torch.model.abscissae import decouple
 from apcc_torch.model.backbone import PCCBackbone

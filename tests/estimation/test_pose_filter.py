@@ -9,9 +9,8 @@ from torch import Tensor
 from apcc_torch.errors import ValueRangeError
 from apcc_torch.estimation.pose_filter import PoseFilter, PoseFilterState
 from apcc_torch.lie import se3, so3
-from apcc_torch.model.abscissae import decouple
+from apcc_torch.model.abscissae import MaterialPoints, decouple
 from apcc_torch.model.backbone import PCCBackbone
-from apcc_torch.model.kinematic_model import MaterialPoints
 from arms import HANGING_BASE, PI, configurations
 from laws import FLOATS, generator, normal
 

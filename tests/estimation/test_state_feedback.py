@@ -11,7 +11,8 @@ from torch import Tensor
 from torch.func import jacfwd
 
 from apcc_torch.errors import DtypeError, ShapeError, ValueRangeError
-from apcc_torch.estimation.state_feedback import Feedback, FeedbackStatus, StateFeedback
+from apcc_torch.estimation.feedback import Feedback, FeedbackStatus
+from apcc_torch.estimation.state_feedback import StateFeedback
 from apcc_torch.lie import se3, so3
 from apcc_torch.model.abscissae import decouple
 from apcc_torch.model.backbone import PCCBackbone

@@ -13,8 +13,9 @@ from apcc_torch.control.adaptation import AdaptiveLaw
 from apcc_torch.control.controller import APCCController
 from apcc_torch.control.inverse_kinematics import InverseKinematics
 from apcc_torch.errors import ValueRangeError
+from apcc_torch.estimation.feedback import FeedbackStatus
 from apcc_torch.estimation.savitzky_golay import SavitzkyGolay
-from apcc_torch.estimation.state_feedback import FeedbackStatus, StateFeedback
+from apcc_torch.estimation.state_feedback import StateFeedback
 from apcc_torch.model.backbone import PCCBackbone
 from apcc_torch.simulation.kinematic import simulate_exact, simulate_feedback, start_configuration
 from apcc_torch.simulation.metrics import backbone_error

@@ -18,8 +18,9 @@ from apcc_torch.control.controller import APCCController
 from apcc_torch.control.inverse_kinematics import InverseKinematics
 from apcc_torch.control.signals import Measurement, Target
 from apcc_torch.errors import ConfigError, DataError, ShapeError, ValueRangeError
+from apcc_torch.estimation.feedback import FeedbackStatus
 from apcc_torch.estimation.savitzky_golay import SavitzkyGolay
-from apcc_torch.estimation.state_feedback import FeedbackStatus, StateFeedback
+from apcc_torch.estimation.state_feedback import StateFeedback
 from apcc_torch.model.abscissae import decouple
 from apcc_torch.model.backbone import PCCBackbone
 from apcc_torch.simulation.calibration import Calibration
