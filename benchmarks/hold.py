@@ -3,7 +3,7 @@
 The runs of `apcc_torch.benchmark` go on for a minute instead of ten seconds; what winds up in a controller, or drifts
 in an adapting model, shows itself after that. Settings are that program's:
 
-    python benchmarks/hold.py 'experiments.adaptive=["controller.null_travel=null"]'
+    python benchmarks/hold.py 'experiments.adaptive=["controller.null_speed=null"]'
 """
 
 from __future__ import annotations

@@ -190,7 +190,7 @@ def sine(omega: Any) -> Tensor:
         (solver, "null_gain", (0.0, 0.2, 1.0)),
         (solver, "epsilon", (1e-3, 1e-2, 1.0)),
         (solver_over_a_period, "null_step", (0.01, 0.1, 0.5)),
-        (solver_over_a_period, "null_travel", (1e-3, 1.0, 9.0)),
+        (solver_over_a_period, "null_speed", (1e-3, 1.0, 9.0)),
         (solver_over_a_period, "epsilon", (1e-3, 1e-2, 1.0)),
         (solver, "bend_rate", (0.01, 0.1, 9.0)),
         (solver, "length_rate", (0.01, 0.1, 9.0)),

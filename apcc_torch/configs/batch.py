@@ -27,7 +27,7 @@ ROWS: dict[str, frozenset[str]] = {
     "pose_filter": frozenset({"angular_time", "linear_time", "follow"}),
     "velocity_filter": frozenset({"window"}),
     "controller": frozenset(
-        {"K", "gamma", "damping", "null_gain", "epsilon", "null_weights", "null_bends", "null_step", "null_travel"}
+        {"K", "gamma", "damping", "null_gain", "epsilon", "null_weights", "null_bends", "null_step", "null_speed"}
         | {"integral_gain", "integral_reach", "bend_rate", "length_rate", "bend_bound", "elongation_bound"}
     ),
     "residual": frozenset(

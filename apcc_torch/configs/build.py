@@ -186,7 +186,7 @@ class Builder:
             given("controller.null_weights", k.null_weights),
             given("controller.null_bends", k.null_bends),
             k.null_step,
-            k.null_travel,
+            k.null_speed,
         )
         gains = given("residual.gains", c.residual.gains)
         return APCCController(

@@ -113,7 +113,7 @@ class ControllerConfig:
     null_weights: list[float] | None = None
     null_bends: list[float] | None = None
     null_step: float | None = None
-    null_travel: float | None = None
+    null_speed: float | None = None
     integral_gain: float = 0.0
     integral_reach: float = 1e-3
     bend_rate: float | None = None

@@ -61,9 +61,9 @@ class InverseKinematics(nn.Module):
         null_weights: (..., n_b) weights of the sections' elongations in the Psi that is lowered; None for 1, Eq. (50).
         null_bends: (..., n_b) beta, 1/s: grad_Psi has beta_i d_i on the bends d_i of section i too. As far as the tip
             leaves it free, a section with beta > 0 bends more and one with beta < 0 less; None for 0, Eq. (50).
-        null_travel: m. Bends grow while the tip travels, by beta |e|^2 / (|e|^2 + null_travel^2), and rest with it. Of
-            a growth that lasts, an arm at rest follows ever less: q_d winds up until it meets its bounds, and the tip
-            goes astray. None for growth that lasts.
+        null_speed: m/s. grad_Psi acts while the tip is to move, by |v|^2 / (|v|^2 + null_speed^2) of v = xdot_d + K e,
+            and rests with it. q_d is an integral: what a loaded arm does not follow adds up, for minutes, until the arm
+            gives way and the tip is lost. None for a term that lasts, Eq. (16).
         null_step: Largest share of the elongations that one period takes away; None for no bound. Near zero the term
             decays at up to null_gain max(null_weights) / epsilon, and held over a period it overshoots where that
             times the period comes near 1: a slow rate then feeds back the sensors' noise. The term is scaled whole.
@@ -82,7 +82,7 @@ class InverseKinematics(nn.Module):
     null_weights: Tensor | None
     null_bends: Tensor | None
     null_step: Setting | None
-    null_travel: Setting | None
+    null_speed: Setting | None
 
     def __init__(
         self,
@@ -96,7 +96,7 @@ class InverseKinematics(nn.Module):
         null_weights: Tensor | None = None,
         null_bends: Tensor | None = None,
         null_step: Setting | None = None,
-        null_travel: Setting | None = None,
+        null_speed: Setting | None = None,
     ) -> None:
         super().__init__()
         self.coordinates = coordinates
@@ -107,7 +107,7 @@ class InverseKinematics(nn.Module):
         K = gain_matrix("K", K, 3)
         hold_rows(self, K=(K, 2), null_weights=(null_weights, 1), null_bends=(null_bends, 1))
         weights = {"damping": damping, "null_gain": null_gain}
-        scales = {"epsilon": epsilon, "null_step": null_step, "null_travel": null_travel}
+        scales = {"epsilon": epsilon, "null_step": null_step, "null_speed": null_speed}
         bounds = {"bend_rate": bend_rate, "length_rate": length_rate}
         check_settings_or_zero(**weights)
         check_settings(**scales, **bounds)
@@ -132,19 +132,22 @@ class InverseKinematics(nn.Module):
         check_tensor("q", q, (J_hat.shape[-1],))
         check_same(J_hat=J_hat, e=e, xdot_d=xdot_d, q=q)
         J_hat = self.coordinates.driven(J_hat)
-        K = self.K.to(dtype=e.dtype, device=e.device)
         J_pinv = damped_pseudo_inverse(J_hat, aligned(self.damping, 2))
-        velocity = xdot_d.unsqueeze(-1) + K @ e.unsqueeze(-1)
-        descent = self.descent(q, dt, e).unsqueeze(-1)
+        velocity = self.tip_velocity(e, xdot_d)
+        descent = self.descent(q, dt, velocity).unsqueeze(-1)
         # Eq. (16), with J^+ (v - J descent) + descent for J^+ v + (I - J^+ J) descent: one product fewer.
-        qdot = (J_pinv @ (velocity - J_hat @ descent) + descent).squeeze(-1)
+        qdot = (J_pinv @ (velocity.unsqueeze(-1) - J_hat @ descent) + descent).squeeze(-1)
         return self.bounded(qdot)
 
-    def descent(self, q: Tensor, dt: Tensor | None = None, e: Tensor | None = None) -> Tensor:
+    def tip_velocity(self, e: Tensor, xdot_d: Tensor) -> Tensor:
+        """xdot_d + K e (..., 3), m/s: what is asked of the tip. Arguments as `forward`."""
+        return xdot_d + (self.K.to(dtype=e.dtype, device=e.device) @ e.unsqueeze(-1)).squeeze(-1)
+
+    def descent(self, q: Tensor, dt: Tensor | None = None, velocity: Tensor | None = None) -> Tensor:
         """grad_Psi (..., n) of Eq. (16) at q (..., n): minus the null gain times the gradient of the smoothed Psi.
 
-        With `null_bends`, their growth too, with `null_travel` as far as the tip's error e (..., 3) m lets it; with
-        `null_step` and dt (...) s, as slow as that asks for.
+        With `null_bends`, their growth too. With `null_step` and dt (...) s, as slow as that asks for; with
+        `null_speed` and the tip's `velocity` (..., 3) m/s, as far as that lets it.
         """
         for name, each in {"null_weights": self.null_weights, "null_bends": self.null_bends}.items():
             if each is not None:
@@ -152,11 +155,10 @@ class InverseKinematics(nn.Module):
         slope = elongation_gradient(q, self.epsilon, self.coordinates, self.null_weights)
         down = aligned(-self.null_gain, 1) * slope
         if self.null_bends is not None:
-            growth = self.null_bends.to(q)
-            if self.null_travel is not None and e is not None:
-                squared = (e * e).sum(-1, keepdim=True)
-                growth = growth * squared / (squared + aligned(self.null_travel, 1) ** 2)
-            down = down + self.coordinates.on_bends(growth) * q
+            down = down + self.coordinates.on_bends(self.null_bends.to(q)) * q
+        if self.null_speed is not None and velocity is not None:
+            squared = (velocity * velocity).sum(-1, keepdim=True)
+            down = down * squared / (squared + aligned(self.null_speed, 1) ** 2)
         if self.null_step is None or dt is None:
             return down
         heaviest = 1.0 if self.null_weights is None else self.null_weights.to(q).amax(-1)

@@ -53,7 +53,7 @@ def test_controller_takes_its_settings() -> None:
         "controller.null_weights=[1,2,0.5]",
         "controller.null_bends=[0.1,0,-0.1]",
         "controller.null_step=0.4",
-        "controller.null_travel=5.0e-3",
+        "controller.null_speed=5.0e-3",
         "controller.integral_gain=0.5",
         "controller.integral_reach=2.0e-3",
         "pose_filter.angular_time=0.04",
@@ -67,7 +67,7 @@ def test_controller_takes_its_settings() -> None:
     ik = c.inverse_kinematics
     assert ik.null_weights is not None and ik.null_weights.tolist() == [1.0, 2.0, 0.5]
     assert ik.null_bends is not None and ik.null_bends.tolist() == [0.1, 0.0, -0.1]
-    assert (ik.null_step, ik.null_travel) == (0.4, 5e-3)
+    assert (ik.null_step, ik.null_speed) == (0.4, 5e-3)
     assert c.integral is not None and (c.integral.gain, c.integral.reach) == (0.5, 2e-3)
     assert c.pose_filter is not None
     assert (c.pose_filter.angular_time, c.pose_filter.linear_time, c.pose_filter.follow) == (0.04, 0.0, 0.8)

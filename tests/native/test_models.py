@@ -39,7 +39,7 @@ def test_the_controllers_step_equals_its_eager_self(name: str, law: str) -> None
             null_weights=2.0 * PI,
             null_bends=0.2 * PI,
             null_step=0.1,
-            null_travel=5e-3,
+            null_speed=5e-3,
         ),
         AdaptiveLaw(3, 1.0, regressor="none" if law == "residual" else "estimator_aware"),
         routing=rack_routing(X),
