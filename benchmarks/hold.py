@@ -1,6 +1,6 @@
-"""Each comparison for as long as an arm may have to stand: `python benchmarks/hold.py`, a few minutes.
+"""Each comparison for as long as an arm may have to stand: `python benchmarks/hold.py`, some ten minutes.
 
-The runs of `apcc_torch.benchmark` go on for a minute instead of ten seconds; what winds up in a controller, or drifts
+The runs of `apcc_torch.benchmark` go on for three minutes instead of ten seconds; what winds up in a controller, or drifts
 in an adapting model, shows itself after that. Settings are that program's:
 
     python benchmarks/hold.py 'experiments.adaptive=["controller.null_speed=null"]'
@@ -16,8 +16,8 @@ from comparisons import compare
 from apcc_torch.configs.schema import SimulateConfig
 from apcc_torch.experiments.dynamic import curves, simulate, thinned
 
-DURATION = 60.0
-TIMES = (10.0, 30.0, 60.0)
+DURATION = 180.0
+TIMES = (10.0, 60.0, 180.0)
 TITLES = {f"tip_{time:.0f}": f"tip after {time:.0f} s, mm" for time in TIMES} | {
     "tip_worst": "the farthest, mm",
     "shape": "shape error then, mm",
