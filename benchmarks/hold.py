@@ -1,7 +1,7 @@
-"""Each comparison for as long as an arm may have to stand: `python benchmarks/hold.py`, some ten minutes.
+"""Each comparison for as long as an arm may have to stand: `python benchmarks/hold.py`, a few minutes.
 
-The runs of `apcc_torch.benchmark` go on for three minutes instead of ten seconds; what winds up in a controller, or drifts
-in an adapting model, shows itself after that. Settings are that program's:
+The runs of `apcc_torch.benchmark` go on for three minutes instead of ten seconds; what winds up in a controller, or
+drifts in an adapting model, shows itself after that. Settings are that program's:
 
     python benchmarks/hold.py 'experiments.adaptive=["controller.null_speed=null"]'
 """
