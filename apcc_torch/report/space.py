@@ -156,8 +156,10 @@ class Space:
         look = {"rotation": 90 if upright else 0, "ha": "center", "va": "center" if upright else "top"}
         steep = min(1.0, abs(float(span[1])) / (abs(float(span[0])) + 1e-12))
         # Beside a steep edge the name stands next to the numbers, beneath a flat one under them.
-        aside = 14 + 5 * steep * max(map(len, numbers), default=0)
-        away = (-32, 0) if upright else (round(-aside if align[0] == "right" else aside), round(10 * steep) - 19)
+        width = 5 * max(map(len, numbers), default=0)
+        aside = round(16 + width * steep)
+        beside = (-aside if align[0] == "right" else aside, round(10 * steep) - 19)
+        away = (-16 - width, 0) if upright else beside
         self._text(f"{'xyz'[axis]} (m)", 0.5 * (start + end), away, color=style.INK, fontsize=10.5, **look)
 
     def _text(self, text: str, at: Array, offset: tuple[int, int], **look: Any) -> None:
