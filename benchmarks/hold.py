@@ -10,29 +10,27 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import torch
 from comparisons import compare
 
 from apcc_torch.configs.schema import SimulateConfig
-from apcc_torch.experiments.dynamic import curves, simulate, thinned
+from apcc_torch.experiments.dynamic import curves, dynamic_metrics, simulate, thinned
 
 DURATION = 180.0
-TIMES = (10.0, 60.0, 180.0)
+TIMES = (10.0, 60.0)
 TITLES = {f"tip_{time:.0f}": f"tip after {time:.0f} s, mm" for time in TIMES} | {
-    "tip_worst": "the farthest, mm",
-    "shape": "shape error then, mm",
-    "diverged": "diverged",
+    "end_effector_error_end_mm": f"tip after {DURATION:.0f} s, mm",
+    "end_effector_error_end_max_mm": "the farthest, mm",
+    "shape_error_end_mm": "shape error then, mm",
+    "diverged_rows": "diverged",
 }
 
 
 def measured(config: SimulateConfig, adaptive: bool) -> dict[str, float]:
-    """Tip errors at the times, and at the last one the farthest tip, the shape error, and rows that diverged."""
+    """Tip errors at the times, and the metrics of the whole run."""
     outcome = simulate(replace(config, experiment=replace(config.experiment, duration=DURATION)), adaptive)
     c = curves(thinned(outcome.log), outcome.arms)
-    at = [int((c.time - time).abs().argmin()) for time in TIMES]
-    found = {f"tip_{time:.0f}": 1e3 * float(c.e[i].mean()) for time, i in zip(TIMES, at, strict=True)}
-    found |= {"tip_worst": 1e3 * float(c.e[-1].max()), "shape": 1e3 * float(c.shape_error[-1].mean())}
-    return found | {"diverged": float(torch.count_nonzero(outcome.log.diverged_at >= 0))}
+    tips = {f"tip_{time:.0f}": 1e3 * float(c.e[(c.time - time).abs().argmin()].mean()) for time in TIMES}
+    return tips | dynamic_metrics(c, outcome.log.diverged_at)
 
 
 if __name__ == "__main__":

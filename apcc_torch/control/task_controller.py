@@ -97,7 +97,7 @@ class TaskController(APCCController):
         targets = (TaskTarget(target.x_d, target.xdot_d), *(target.tasks or ()))
         driven = self.backbone.coordinates.driven
         rates = self.stack.asked(T, driven(J_b), targets, seen)
-        velocity = self.inverse_kinematics.tip_velocity(e, target.xdot_d.expand_as(e))
+        velocity = self.inverse_kinematics.tip_velocity(e, target.xdot_d)
         descent = self.inverse_kinematics.descent(q_bar, dt, velocity)
         if self.clearance is not None:
             descent = descent + driven(self.clearance.descent(self.backbone, q_bar, pi_hat))

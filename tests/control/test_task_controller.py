@@ -32,12 +32,12 @@ PLACES = decouple(SENSORS, PI)
 DT = 0.04
 
 
-def parts(K: float = 2.0) -> tuple:
+def parts(K: float = 2.0, null_speed: float | None = None) -> tuple:
     return (
         BACKBONE,
         StateFeedback(BACKBONE, SENSORS),
         SavitzkyGolay(window=9, order=2),
-        InverseKinematics(K=K, null_gain=0.2, bend_rate=3.0, length_rate=0.3),
+        InverseKinematics(K=K, null_gain=0.2, bend_rate=3.0, length_rate=0.3, null_speed=null_speed),
         AdaptiveLaw(3, torch.tensor([9.0, 4.25, 3.5], dtype=torch.float64), normalisation=10.0, reach=0.6),
         ROUTING,
     )
@@ -65,9 +65,10 @@ def follow(
     return q, commands, state
 
 
-def test_without_more_tasks_it_is_the_controller() -> None:
+@pytest.mark.parametrize("null_speed", [None, 0.05])
+def test_without_more_tasks_it_is_the_controller(null_speed: float | None) -> None:
     target = Target(torch.tensor([0.1, 0.05, -0.5]).double(), torch.tensor([0.02, 0.0, 0.01]).double())
-    plain, more = APCCController(*parts()), TaskController(*parts())
+    plain, more = (made(*parts(null_speed=null_speed)) for made in (APCCController, TaskController))
     _, one, _ = follow(plain, target, 12, PI_HAT)
     _, other, _ = follow(more, target, 12, PI_HAT)
     for a, b in zip(one, other, strict=True):
