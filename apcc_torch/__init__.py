@@ -9,7 +9,7 @@ from __future__ import annotations
 from apcc_torch.control.adaptation import AdaptiveLaw
 from apcc_torch.control.controller import APCCController
 from apcc_torch.control.inverse_kinematics import InverseKinematics
-from apcc_torch.control.signals import Command, ControllerState, Measurement, Target
+from apcc_torch.control.step_io import Command, ControllerState, Measurement, Target
 from apcc_torch.errors import ApccError
 from apcc_torch.estimation.feedback import Feedback, FeedbackStatus
 from apcc_torch.estimation.savitzky_golay import SavitzkyGolay

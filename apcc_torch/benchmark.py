@@ -18,13 +18,13 @@ from hydra.errors import HydraException
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from apcc_torch.conf_path import conf_path
-from apcc_torch.configs.benchmark import BenchmarkConfig, PairConfig
-from apcc_torch.configs.schema import SimulateConfig
-from apcc_torch.configs.typed import typed
+from apcc_torch.composition.benchmark import BenchmarkConfig, PairConfig
+from apcc_torch.composition.conf_path import conf_path
+from apcc_torch.composition.schema import SimulateConfig
+from apcc_torch.composition.typed import typed
 from apcc_torch.errors import ApccError, ConfigError
-from apcc_torch.experiments import paper
 from apcc_torch.files import write_atomically
+from apcc_torch.paper import benchmark_run as paper
 
 log = logging.getLogger("apcc_torch.benchmark")
 

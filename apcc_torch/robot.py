@@ -11,12 +11,12 @@ from hydra.core.config_store import ConfigStore
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 
-from apcc_torch.conf_path import conf_path
-from apcc_torch.configs.realtime import RealtimeConfig
+from apcc_torch.composition.conf_path import conf_path
+from apcc_torch.composition.realtime import RealtimeConfig
 from apcc_torch.errors import ApccError
-from apcc_torch.experiments import arm_run
 from apcc_torch.experiments.folder import metrics_text
 from apcc_torch.hardware.stops import exit_code_table
+from apcc_torch.paper import arm_series as arm_run
 
 log = logging.getLogger("apcc_torch.robot")
 

@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from apcc_torch.errors import ApccError
-from apcc_torch.experiments.realtime import replay_log
+from apcc_torch.experiments.realtime_run import replay_log
 from apcc_torch.hardware.log_export import write_parquet, write_rerun
 from apcc_torch.hardware.log_reader import RobotLog, read_log
 

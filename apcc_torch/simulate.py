@@ -13,15 +13,15 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
 from omegaconf import DictConfig
 
-from apcc_torch.conf_path import conf_path
-from apcc_torch.configs.schema import SimulateConfig
+from apcc_torch.composition.conf_path import conf_path
+from apcc_torch.composition.schema import SimulateConfig
 from apcc_torch.errors import ApccError
-from apcc_torch.experiments import batch
 from apcc_torch.experiments.folder import metrics_text
 from apcc_torch.experiments.run import objective_in, run, settings_of
-from apcc_torch.experiments.sweep_job import run_job
-from apcc_torch.points import batch_points, with_batch
-from apcc_torch.sweep import Sweep
+from apcc_torch.sweeps import batch_run as batch
+from apcc_torch.sweeps.batch_points import batch_points, with_batch
+from apcc_torch.sweeps.callback import Sweep
+from apcc_torch.sweeps.job import run_job
 
 log = logging.getLogger("apcc_torch.simulate")
 

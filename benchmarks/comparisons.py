@@ -10,10 +10,10 @@ from hydra import compose, initialize_config_dir
 from tqdm import tqdm
 
 from apcc_torch.benchmark import compose_pairs
-from apcc_torch.conf_path import conf_path
-from apcc_torch.configs.benchmark import BenchmarkConfig
-from apcc_torch.configs.schema import SimulateConfig
-from apcc_torch.configs.typed import typed
+from apcc_torch.composition.benchmark import BenchmarkConfig
+from apcc_torch.composition.conf_path import conf_path
+from apcc_torch.composition.schema import SimulateConfig
+from apcc_torch.composition.typed import typed
 
 COMPILED = 'experiments.common=["compile=aot"]'
 

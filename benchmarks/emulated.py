@@ -18,7 +18,8 @@ from pathlib import Path
 
 import numpy as np
 
-from apcc_torch.experiments import arm_calibration, realtime
+from apcc_torch.experiments import calibrate as arm_calibration
+from apcc_torch.experiments import realtime_run as realtime
 from apcc_torch.files import write_json
 from apcc_torch.hardware.log_reader import RobotLog, read_log
 from apcc_torch.hardware.records import Outcome

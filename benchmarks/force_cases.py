@@ -9,10 +9,10 @@ from run_settings import GENTLE, run_settings
 from torch import Tensor
 
 from apcc_torch import StateFeedback
-from apcc_torch.configs.build import Builder
-from apcc_torch.configs.schema import SimulateConfig
+from apcc_torch.composition.build import Builder
+from apcc_torch.composition.schema import SimulateConfig
 from apcc_torch.estimation.external_force import BalanceNoise, ForceBalance, Posture
-from apcc_torch.estimation.held_shape import HeldShape
+from apcc_torch.estimation.load_from_shape import HeldShape
 from apcc_torch.experiments.dynamic import simulate
 from apcc_torch.model.abscissae import decouple
 from apcc_torch.model.affine import AffineBackbone

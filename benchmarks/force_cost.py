@@ -7,7 +7,7 @@ from force_cases import CONTROLLERS, Seen, affine, balance, settings
 from timing import timed_steps
 from torch import Tensor, nn
 
-from apcc_torch.configs.build import Builder
+from apcc_torch.composition.build import Builder
 from apcc_torch.estimation.contact import ContactSearch
 from apcc_torch.estimation.external_force import ForceBalance, Posture
 from apcc_torch.native.function import NativeFunction

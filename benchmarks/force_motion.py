@@ -10,7 +10,8 @@ from torch import Tensor
 from tqdm import tqdm
 
 from apcc_torch import SavitzkyGolay
-from apcc_torch.configs.build import Builder
+from apcc_torch.composition.build import Builder
+from apcc_torch.control.trajectory import SetPoint
 from apcc_torch.estimation.external_force import Posture
 from apcc_torch.estimation.momentum_observer import MomentumObserver
 from apcc_torch.model.dynamics import SoftArmDynamics
@@ -18,7 +19,6 @@ from apcc_torch.model.stiffness import scaled_stiffness
 from apcc_torch.native.compiled import compiled
 from apcc_torch.simulation.dynamic import ClosedLoop, DynamicLog
 from apcc_torch.simulation.plant import Plant
-from apcc_torch.simulation.trajectory import SetPoint
 
 DT = 0.01
 BEGINS, ENDS = 2.0, 4.0  # s; at 2 s the tip still moves

@@ -37,7 +37,7 @@ from page import between
 from torch import Tensor
 from tqdm import tqdm
 
-from apcc_torch.configs.build import Builder
+from apcc_torch.composition.build import Builder
 from apcc_torch.estimation.contact import ContactSearch
 from apcc_torch.estimation.external_force import ForceBalance, Posture, Tare
 from apcc_torch.files import write_atomically, write_json

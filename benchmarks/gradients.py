@@ -17,9 +17,9 @@ import torch
 from torch import Tensor
 
 from apcc_torch import AdaptiveLaw, APCCController, InverseKinematics, PCCBackbone, SavitzkyGolay, StateFeedback
+from apcc_torch.control.trajectory import SineTrajectory
 from apcc_torch.model.backbone import HANGING
 from apcc_torch.simulation.kinematic import KinematicLog, simulate_feedback
-from apcc_torch.simulation.trajectory import SineTrajectory
 
 D = torch.float64
 TRUE = torch.tensor([0.105, 0.255, 0.240], dtype=D)

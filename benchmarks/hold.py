@@ -12,7 +12,7 @@ from dataclasses import replace
 
 from comparisons import compare
 
-from apcc_torch.configs.schema import SimulateConfig
+from apcc_torch.composition.schema import SimulateConfig
 from apcc_torch.experiments.dynamic import curves, dynamic_metrics, simulate, thinned
 
 DURATION = 180.0

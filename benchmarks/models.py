@@ -18,10 +18,10 @@ from sections import SECTIONS, listed
 from timing import timed_steps
 from tqdm import tqdm
 
-from apcc_torch.configs.build import Builder
-from apcc_torch.configs.schema import SimulateConfig
+from apcc_torch.composition.build import Builder
+from apcc_torch.composition.schema import SimulateConfig
 from apcc_torch.control.controller import APCCController
-from apcc_torch.control.signals import Measurement, Target
+from apcc_torch.control.step_io import Measurement, Target
 from apcc_torch.experiments.dynamic import curves, dynamic_metrics, simulate, thinned
 from apcc_torch.files import write_atomically, write_json
 from apcc_torch.native.function import NativeFunction

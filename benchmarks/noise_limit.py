@@ -17,13 +17,13 @@ from run_settings import run_settings
 from torch import Tensor
 from tqdm import tqdm
 
-from apcc_torch.configs.batch import stacked
-from apcc_torch.configs.build import Builder
+from apcc_torch.composition.batch import stacked
+from apcc_torch.composition.build import Builder
 from apcc_torch.estimation.state_feedback import StateFeedback
 from apcc_torch.experiments.dynamic import curves, one_of, simulate, thinned
-from apcc_torch.experiments.paper_limits import INSTANTS, length_grid, patient_feedback
-from apcc_torch.experiments.paper_outcomes import single_row
 from apcc_torch.model.abscissae import decouple
+from apcc_torch.paper.best_lengths import INSTANTS, length_grid, patient_feedback
+from apcc_torch.paper.outcomes import single_row
 from apcc_torch.simulation.metrics import orientation_error
 from apcc_torch.simulation.sensors import PoseSensors
 

@@ -20,6 +20,7 @@ from apcc_torch import (
     decouple,
 )
 from apcc_torch.control.pid import TendonPID
+from apcc_torch.control.trajectory import SetPoint, SineTrajectory
 from apcc_torch.model.backbone import HANGING
 from apcc_torch.model.stiffness import scaled_stiffness
 from apcc_torch.model.tendons import rack_routing
@@ -31,7 +32,6 @@ from apcc_torch.simulation.dynamic import DynamicLog, DynamicSettings, simulate_
 from apcc_torch.simulation.kinematic import start_configuration
 from apcc_torch.simulation.plant import Plant
 from apcc_torch.simulation.sensors import PoseSensors
-from apcc_torch.simulation.trajectory import SetPoint, SineTrajectory
 
 LENGTHS = (0.105, 0.255, 0.24)
 SENSORS = (0.105, 0.36, 0.6)

@@ -15,7 +15,7 @@ import torch
 from comparisons import compare
 from setpoints import setpoints
 
-from apcc_torch.configs.schema import SimulateConfig
+from apcc_torch.composition.schema import SimulateConfig
 from apcc_torch.experiments.dynamic import metrics, simulate
 
 SEEDS = (1, 2)

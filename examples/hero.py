@@ -18,13 +18,13 @@ from apcc_torch import (
     SavitzkyGolay,
     StateFeedback,
 )
+from apcc_torch.control.trajectory import SineTrajectory
 from apcc_torch.model.backbone import HANGING
 from apcc_torch.report.backbone_drawing import marker_positions
 from apcc_torch.report.hero import hero_figure
 from apcc_torch.report.style import save_figure
 from apcc_torch.simulation.kinematic import KinematicLog, simulate_feedback
 from apcc_torch.simulation.metrics import backbone_error
-from apcc_torch.simulation.trajectory import SineTrajectory
 
 TRUE = torch.tensor([0.105, 0.255, 0.240], dtype=torch.float64)
 GUESS = torch.tensor([0.120, 0.280, 0.270], dtype=torch.float64)

@@ -16,6 +16,7 @@ from torch import Tensor, nn
 
 from apcc_torch import AdaptiveLaw, APCCController, InverseKinematics, PCCBackbone, SavitzkyGolay, StateFeedback
 from apcc_torch.control.pid import TendonPID
+from apcc_torch.control.trajectory import SetPoint
 from apcc_torch.model.backbone import HANGING
 from apcc_torch.model.dynamics import SoftArmDynamics
 from apcc_torch.model.statics import equilibrium
@@ -26,7 +27,6 @@ from apcc_torch.simulation.kinematic import start_configuration
 from apcc_torch.simulation.metrics import mapping_error
 from apcc_torch.simulation.plant import Plant
 from apcc_torch.simulation.sensors import PoseSensors
-from apcc_torch.simulation.trajectory import SetPoint
 
 D = torch.float64
 MODEL = torch.tensor([0.105, 0.255, 0.240], dtype=D)

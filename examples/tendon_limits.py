@@ -17,9 +17,9 @@ import torch
 from torch import Tensor
 
 from apcc_torch import InverseKinematics, PCCBackbone
-from apcc_torch.control.constrained import ConstrainedVelocity, SolverStatus, TendonLimits
 from apcc_torch.control.task_stack import TaskStack
 from apcc_torch.control.tasks import Task, TaskTarget
+from apcc_torch.control.tendon_limits import ConstrainedVelocity, SolverStatus, TendonLimits
 from apcc_torch.model.backbone import HANGING
 from apcc_torch.model.tendons import rack_routing
 from apcc_torch.report import style

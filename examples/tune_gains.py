@@ -19,14 +19,14 @@ import torch
 from torch import Tensor
 
 from apcc_torch import AdaptiveLaw, APCCController, InverseKinematics, PCCBackbone, StateFeedback
-from apcc_torch.control.signals import ControllerState, Measurement
+from apcc_torch.control.step_io import ControllerState, Measurement
+from apcc_torch.control.trajectory import SineTrajectory
 from apcc_torch.estimation.soft_window import SoftWindow
 from apcc_torch.model.abscissae import decouple
 from apcc_torch.model.backbone import HANGING
 from apcc_torch.simulation.kinematic import start_configuration
 from apcc_torch.simulation.rollout import rollout
 from apcc_torch.simulation.sensors import Draws, PoseSensors
-from apcc_torch.simulation.trajectory import SineTrajectory
 
 D = torch.float64
 TRUE = torch.tensor([0.105, 0.255, 0.240], dtype=D)

@@ -9,7 +9,7 @@ from math import inf
 import numpy as np
 import torch
 
-from apcc_torch.control.signals import Command, ControllerState, Measurement, Target
+from apcc_torch.control.step_io import Command, ControllerState, Measurement, Target
 from apcc_torch.errors import CommunicationError, DeviceFaultError, HardwareError, ValueRangeError
 from apcc_torch.estimation.feedback import Feedback
 from apcc_torch.hardware.clock import VirtualClock

@@ -10,7 +10,9 @@ from typing import Any
 import numpy as np
 import torch
 
-from apcc_torch.configs.build import Builder
+from apcc_torch.composition.build import Builder
+from apcc_torch.control.trajectory import SetPoint
+from apcc_torch.estimation.sensor_gate import SensorGate
 from apcc_torch.hardware.clock import VirtualClock
 from apcc_torch.hardware.control import Control
 from apcc_torch.hardware.guards import GuardSettings
@@ -21,8 +23,6 @@ from apcc_torch.hardware.sensing import Sensing, SensingLimits
 from apcc_torch.hardware.setup import LoopSettings, Setup
 from apcc_torch.hardware.stop_request import StopRequest
 from apcc_torch.model.abscissae import decouple
-from apcc_torch.simulation.gating import SensorGate
-from apcc_torch.simulation.trajectory import SetPoint
 from composed import composed
 from fake_devices import N_TENDONS, FakeActuator, FakeSensor, FakeStep, Fault, Faults, Witness
 

@@ -14,7 +14,7 @@ import pytest
 from omegaconf import OmegaConf
 
 from apcc_torch.benchmark import main
-from apcc_torch.experiments.paper_figures import NUMBERED
+from apcc_torch.paper.figures import NUMBERED
 
 ROOT = Path(__file__).resolve().parents[1]
 

@@ -9,8 +9,8 @@ from __future__ import annotations
 import pytest
 import torch
 
-from apcc_torch.configs.build import Builder
-from apcc_torch.control.signals import Measurement, Target
+from apcc_torch.composition.build import Builder
+from apcc_torch.control.step_io import Measurement, Target
 from apcc_torch.model.abscissae import decouple
 from composed import changed
 

@@ -24,7 +24,7 @@ MAX_LINES = 330
 LAYERS: tuple[tuple[str, ...], ...] = (
     ("errors",),
     ("files",),
-    ("settings", "shapes", "conf_path"),
+    ("settings", "shapes"),
     ("native",),
     ("linalg",),
     ("lie",),
@@ -32,19 +32,22 @@ LAYERS: tuple[tuple[str, ...], ...] = (
     ("estimation",),
     ("control",),
     ("simulation",),
+    ("recordings",),
     ("identification",),
     ("",),  # apcc_torch/__init__.py, the public surface
-    ("envs", "hardware", "report"),
-    ("configs",),
+    ("envs", "hardware"),
+    ("composition",),
+    ("report",),
     ("experiments",),
-    ("points", "sweep"),
+    ("paper",),
+    ("sweeps",),
     ("simulate",),
     ("benchmark", "identify", "report.__main__", "robot", "robot_log"),
 )
 
 # Who alone may import a heavy or program-only library.
 RESTRICTED: dict[str, frozenset[str]] = {
-    "hydra": frozenset({"benchmark", "identify", "points", "robot", "simulate", "sweep"}),
+    "hydra": frozenset({"benchmark", "identify", "robot", "simulate", "sweeps"}),
     "matplotlib": frozenset({"report", "report.__main__"}),
     "gymnasium": frozenset({"envs"}),
     "stable_baselines3": frozenset({"envs"}),

@@ -15,6 +15,7 @@ from apcc_torch.control.length_bank import LengthBank, candidates
 from apcc_torch.control.pid import TendonPID
 from apcc_torch.control.residual_adaptation import ResidualLaw
 from apcc_torch.control.task_integral import TaskIntegral
+from apcc_torch.control.trajectory import SineTrajectory
 from apcc_torch.errors import ValueRangeError
 from apcc_torch.estimation.pose_filter import PoseFilter
 from apcc_torch.estimation.savitzky_golay import SavitzkyGolay
@@ -25,7 +26,6 @@ from apcc_torch.model.abscissae import decouple
 from apcc_torch.model.backbone import PCCBackbone
 from apcc_torch.settings import aligned, check_setting, hold, is_used
 from apcc_torch.simulation.sensors import PoseSensors
-from apcc_torch.simulation.trajectory import SineTrajectory
 from arms import HANGING_BASE, PI
 
 ROWS = 3

@@ -14,7 +14,7 @@ from torch import Tensor, nn
 from apcc_torch.control.adaptive_dynamics import AdaptiveDynamics, DynamicsEstimate
 from apcc_torch.control.bounds import within
 from apcc_torch.control.controller import APCCController
-from apcc_torch.control.signals import Command, ControllerState, Measurement, Target
+from apcc_torch.control.step_io import Command, ControllerState, Measurement, Target
 from apcc_torch.errors import ConfigError
 from apcc_torch.estimation.state_feedback import StateFeedback
 from apcc_torch.linalg import damped_pseudo_inverse

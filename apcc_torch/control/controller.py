@@ -10,7 +10,7 @@ from apcc_torch.control.bounds import within
 from apcc_torch.control.inverse_kinematics import InverseKinematics
 from apcc_torch.control.length_bank import BankEvidence, LengthBank
 from apcc_torch.control.residual_adaptation import Evidence, ResidualLaw
-from apcc_torch.control.signals import Command, ControllerState, Measurement, Target
+from apcc_torch.control.step_io import Command, ControllerState, Measurement, Target
 from apcc_torch.control.task_integral import TaskIntegral
 from apcc_torch.errors import ValueRangeError
 from apcc_torch.estimation.feedback import Inference

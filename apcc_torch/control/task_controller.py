@@ -9,11 +9,11 @@ import torch
 from torch import Tensor
 
 from apcc_torch.control.clearance import ClearanceCost
-from apcc_torch.control.constrained import ConstrainedVelocity, TendonLimits
 from apcc_torch.control.controller import APCCController
-from apcc_torch.control.signals import Command, ControllerState, Measurement, Target
+from apcc_torch.control.step_io import Command, ControllerState, Measurement, Target
 from apcc_torch.control.task_stack import TaskStack
 from apcc_torch.control.tasks import Task, TaskTarget
+from apcc_torch.control.tendon_limits import ConstrainedVelocity, TendonLimits
 from apcc_torch.errors import ConfigError
 from apcc_torch.lie import se3
 from apcc_torch.model.kinematic_model import Placed

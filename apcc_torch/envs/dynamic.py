@@ -10,7 +10,7 @@ from torch.func import functional_call
 
 from apcc_torch.control.pid import ramp
 from apcc_torch.envs.arm import Arm
-from apcc_torch.envs.points import backbone_points, powers
+from apcc_torch.envs.backbone_points import backbone_points, powers
 from apcc_torch.envs.randomisation import RowParameters
 from apcc_torch.linalg import solve_spd
 from apcc_torch.model.integrators import ArmState

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor, nn
 
 from apcc_torch.envs.arm import Arm
-from apcc_torch.envs.points import backbone_points, powers
+from apcc_torch.envs.backbone_points import backbone_points, powers
 from apcc_torch.envs.randomisation import RowParameters
 
 

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple, Protocol
 import torch
 from torch import Tensor, nn
 
-from apcc_torch.control.signals import ControllerState
+from apcc_torch.control.step_io import ControllerState
 from apcc_torch.envs.actions import Drive, Limits, action_size
 from apcc_torch.envs.adaptation import AdaptiveLoop
 from apcc_torch.envs.arm import Arm
@@ -20,7 +20,7 @@ from apcc_torch.envs.dynamic import DynamicArm, DynamicState
 from apcc_torch.envs.kinematic import KinematicArm, KinematicState
 from apcc_torch.envs.randomisation import Ranges, RowParameters
 from apcc_torch.envs.rendering import Picture, picture
-from apcc_torch.envs.rows import select
+from apcc_torch.envs.row_trees import select
 from apcc_torch.envs.sensing import Readings, Sensing
 from apcc_torch.envs.streams import Stream
 from apcc_torch.envs.tasks import DISTANCE, POSITION, SPEED, TASKS, Goal, Task

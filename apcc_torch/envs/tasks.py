@@ -7,9 +7,9 @@ from typing import NamedTuple, Protocol
 import torch
 from torch import Tensor
 
-from apcc_torch.control.signals import Target
+from apcc_torch.control.step_io import Target
 from apcc_torch.envs.arm import Arm
-from apcc_torch.envs.points import backbone_points, powers
+from apcc_torch.envs.backbone_points import backbone_points, powers
 from apcc_torch.envs.streams import Stream
 
 GOAL_BEND, GOAL_ELONGATION = 0.5, 0.02

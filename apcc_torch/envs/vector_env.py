@@ -16,7 +16,7 @@ from apcc_torch.envs.actions import Limits, check_action
 from apcc_torch.envs.arm import Arm
 from apcc_torch.envs.randomisation import Range, Ranges
 from apcc_torch.envs.rendering import Picture, Renderer, load_renderer
-from apcc_torch.envs.rows import replaced, select, taken
+from apcc_torch.envs.row_trees import replaced, select, taken
 from apcc_torch.envs.simulator import EnvState, Outcome, Setup, Simulator, View
 from apcc_torch.envs.streams import streams
 from apcc_torch.errors import ConfigError, DtypeError, ShapeError, ValueRangeError

@@ -10,10 +10,11 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from apcc_torch.configs.build import Builder
-from apcc_torch.configs.dynamics_law import true_parameters, with_dynamics
-from apcc_torch.configs.schema import SimulateConfig
+from apcc_torch.composition.build import Builder
+from apcc_torch.composition.dynamics_law import true_parameters, with_dynamics
+from apcc_torch.composition.schema import SimulateConfig
 from apcc_torch.control.inverse_kinematics import elongation_cost
+from apcc_torch.control.trajectory import Trajectory
 from apcc_torch.experiments.folder import RunFolder, progress_bar
 from apcc_torch.model.abscissae import decouple
 from apcc_torch.model.backbone import PCCBackbone
@@ -27,7 +28,6 @@ from apcc_torch.report.style import save_figures
 from apcc_torch.simulation.dynamic import DynamicLog, DynamicSettings, simulate_dynamic
 from apcc_torch.simulation.metrics import backbone_error, mapping_error, orientation_error
 from apcc_torch.simulation.progress import Progress
-from apcc_torch.simulation.trajectory import Trajectory
 
 INSTANTS = 200
 """Largest number of instants at which backbones are compared."""

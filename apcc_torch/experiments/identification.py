@@ -11,8 +11,8 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from apcc_torch.configs import identify as settings
-from apcc_torch.configs.identify import IdentifyConfig
+from apcc_torch.composition import identify as settings
+from apcc_torch.composition.identify import IdentifyConfig
 from apcc_torch.errors import ConfigError, DataError
 from apcc_torch.experiments.folder import RunFolder
 from apcc_torch.experiments.identification_report import report_text

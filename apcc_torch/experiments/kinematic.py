@@ -10,9 +10,9 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from apcc_torch.configs.build import Builder
-from apcc_torch.configs.choice import choice
-from apcc_torch.configs.schema import SimulateConfig
+from apcc_torch.composition.build import Builder
+from apcc_torch.composition.choice import choice
+from apcc_torch.composition.schema import SimulateConfig
 from apcc_torch.control.controller import APCCController
 from apcc_torch.control.inverse_kinematics import elongation_cost
 from apcc_torch.errors import ConfigError

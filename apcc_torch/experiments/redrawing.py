@@ -10,9 +10,9 @@ from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 from torch import Tensor
 
-from apcc_torch.configs.build import Builder
-from apcc_torch.configs.schema import SimulateConfig
-from apcc_torch.configs.typed import typed
+from apcc_torch.composition.build import Builder
+from apcc_torch.composition.schema import SimulateConfig
+from apcc_torch.composition.typed import typed
 from apcc_torch.errors import ConfigError, DataError
 from apcc_torch.experiments import dynamic, kinematic
 from apcc_torch.report.animation import save_animation

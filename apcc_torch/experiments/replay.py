@@ -8,18 +8,18 @@ from pathlib import Path
 
 import torch
 
-from apcc_torch.configs.build import Builder
-from apcc_torch.configs.schema import SimulateConfig
+from apcc_torch.composition.build import Builder
+from apcc_torch.composition.schema import SimulateConfig
 from apcc_torch.errors import ConfigError
+from apcc_torch.estimation.sensor_gate import SensorGate
 from apcc_torch.experiments.folder import RunFolder, progress_bar
+from apcc_torch.recordings.recorded_arm import TRUNK_BASE, TRUNK_DIRECTION
+from apcc_torch.recordings.recording import detect_layout, load_recording
+from apcc_torch.recordings.replay import held_out_error, replay
+from apcc_torch.recordings.replay_log import replay_metrics
+from apcc_torch.recordings.rest_pose import calibrate
 from apcc_torch.report.replay import ReplayCurves, replay_figure
 from apcc_torch.report.style import save_figures
-from apcc_torch.simulation.calibration import calibrate
-from apcc_torch.simulation.gating import SensorGate
-from apcc_torch.simulation.recorded_arm import TRUNK_BASE, TRUNK_DIRECTION
-from apcc_torch.simulation.recording import detect_layout, load_recording
-from apcc_torch.simulation.replay import held_out_error, replay
-from apcc_torch.simulation.replay_log import replay_metrics
 
 
 def run(config: SimulateConfig, folder: Path) -> dict[str, float]:

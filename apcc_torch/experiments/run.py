@@ -12,9 +12,9 @@ from pathlib import Path
 import torch
 from omegaconf import DictConfig, OmegaConf
 
-from apcc_torch.configs.choice import choice
-from apcc_torch.configs.schema import SimulateConfig
-from apcc_torch.configs.typed import typed
+from apcc_torch.composition.choice import choice
+from apcc_torch.composition.schema import SimulateConfig
+from apcc_torch.composition.typed import typed
 from apcc_torch.errors import ConfigError
 from apcc_torch.experiments import dynamic, kinematic, replay
 from apcc_torch.experiments.folder import versions

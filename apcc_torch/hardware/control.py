@@ -10,11 +10,11 @@ import torch
 from torch import Tensor
 
 from apcc_torch.control.controller import APCCController
-from apcc_torch.control.signals import Command, ControllerState, Measurement, Target
+from apcc_torch.control.step_io import Command, ControllerState, Measurement, Target
+from apcc_torch.control.trajectory import Trajectory
 from apcc_torch.errors import ConfigError
 from apcc_torch.hardware.interfaces import Array
 from apcc_torch.hardware.sensing import Seen
-from apcc_torch.simulation.trajectory import Trajectory
 
 Step = Callable[[ControllerState, Measurement, Target], tuple[ControllerState, Command]]
 """One control step: the controller itself, or a compiled form of it."""

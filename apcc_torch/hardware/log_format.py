@@ -143,8 +143,8 @@ def layouts(n: int, n_b: int, k: int, n_a: int) -> Layouts:
         _float("poses", "m, poses in the base frame, row by row; the last accepted where this one was not", 16 * k),
         _int("position_ok", "1: accepted", k),
         _int("orientation_ok", "1: accepted", k),
-        _int("position_reason", "apcc_torch.simulation.gating.Reason", k),
-        _int("orientation_reason", "apcc_torch.simulation.gating.Reason", k),
+        _int("position_reason", "apcc_torch.estimation.sensor_gate.Reason", k),
+        _int("orientation_reason", "apcc_torch.estimation.sensor_gate.Reason", k),
     )
     target = (TICK, TIME, _float("x_d", "m", 3), _float("xdot_d", "m/s", 3))
     controller = (

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 import torch
 
-from apcc_torch.control.signals import Target
+from apcc_torch.control.step_io import Target
 from apcc_torch.hardware.control import Control, Start
 from apcc_torch.hardware.interfaces import Array
 from apcc_torch.hardware.log_reader import RobotLog

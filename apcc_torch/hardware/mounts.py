@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from apcc_torch.errors import ShapeError
+from apcc_torch.estimation.rest_calibration import Calibration
 from apcc_torch.hardware.interfaces import Array
-from apcc_torch.simulation.calibration import Calibration
 
 
 @dataclass(frozen=True)

@@ -9,13 +9,13 @@ import torch
 from torch import Tensor
 
 from apcc_torch.control.controller import APCCController
-from apcc_torch.control.signals import Target
+from apcc_torch.control.step_io import Target
+from apcc_torch.control.trajectory import SetPoint
 from apcc_torch.errors import ValueRangeError
 from apcc_torch.hardware.control import Control, Decision, Step
 from apcc_torch.hardware.interfaces import Array
 from apcc_torch.hardware.sensing import Seen
 from apcc_torch.settings import check_setting
-from apcc_torch.simulation.trajectory import SetPoint
 
 
 @dataclass(frozen=True)

@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from apcc_torch.errors import ValueRangeError
+from apcc_torch.estimation.sensor_gate import SensorGate
 from apcc_torch.hardware.interfaces import Array, PoseSample
 from apcc_torch.hardware.mounts import Mounts
 from apcc_torch.hardware.stops import Stop, StopReason
 from apcc_torch.settings import check_setting
-from apcc_torch.simulation.gating import SensorGate
 
 PARTIAL = ("skip", "mask")
 

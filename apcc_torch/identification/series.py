@@ -11,8 +11,8 @@ from torch import Tensor
 
 from apcc_torch.errors import ConfigError, DataError
 from apcc_torch.identification.tendon_arm import Drive
-from apcc_torch.simulation.csv_table import read_table
-from apcc_torch.simulation.recording import Recording
+from apcc_torch.recordings.csv_table import read_table
+from apcc_torch.recordings.recording import Recording
 
 
 @dataclass(frozen=True)

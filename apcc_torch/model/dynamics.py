@@ -14,7 +14,7 @@ import torch
 from torch import Tensor, nn
 
 from apcc_torch.errors import ValueRangeError
-from apcc_torch.model.composite import Composite, assembled, composite, solved
+from apcc_torch.model.composite_inertia import Composite, assembled, composite, solved
 from apcc_torch.model.inertia import (
     ArmShape,
     Bending,
@@ -25,7 +25,7 @@ from apcc_torch.model.inertia import (
     quadrature_nodes,
 )
 from apcc_torch.model.loads import Loads, Payload, carried_wrench, distributed_load, front
-from apcc_torch.model.motion import accelerations, generalized_force, rates
+from apcc_torch.model.velocity_accelerations import accelerations, generalized_force, rates
 from apcc_torch.settings import hold_rows
 from apcc_torch.shapes import batch_shape, check_finite, check_positive, check_same, check_tensor
 

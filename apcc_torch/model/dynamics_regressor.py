@@ -15,11 +15,11 @@ import torch
 from torch import Tensor, nn
 
 from apcc_torch.errors import ValueRangeError
-from apcc_torch.model.composite import assembled, composite
+from apcc_torch.model.composite_inertia import assembled, composite
 from apcc_torch.model.inertia import arm_shape, bending, moments, own_momentum, quadrature_nodes
 from apcc_torch.model.loads import front
-from apcc_torch.model.motion import accelerations, generalized_force, rates
 from apcc_torch.model.tendons import TendonRouting
+from apcc_torch.model.velocity_accelerations import accelerations, generalized_force, rates
 from apcc_torch.settings import check_setting
 from apcc_torch.shapes import batch_shape, check_finite, check_same, check_tensor
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from apcc_torch.errors import ApccError, DataError
-from apcc_torch.report.batch_points import POINTS, read_points
+from apcc_torch.report.batch_table import POINTS, read_points
 from apcc_torch.report.run_record import (
     BROKEN,
     COMPLETE,

@@ -12,11 +12,11 @@ from matplotlib.patches import Patch
 from torch import Tensor
 
 from apcc_torch.errors import ShapeError
+from apcc_torch.estimation.sensor_gate import Reason
 from apcc_torch.model.coordinates import CONSTANT_CURVATURE, Coordinates
 from apcc_torch.report import style
 from apcc_torch.report.style import Array, values
 from apcc_torch.shapes import check_tensor
-from apcc_torch.simulation.gating import Reason
 
 REASON_COLORS = {
     Reason.UNTRACKED: "#7b8794",

@@ -15,7 +15,8 @@ from torch import Tensor, nn
 from apcc_torch.control.composite_controller import CompositeController, CompositeState
 from apcc_torch.control.controller import APCCController
 from apcc_torch.control.pid import TendonReference, ramp
-from apcc_torch.control.signals import ControllerState, Measurement
+from apcc_torch.control.step_io import ControllerState, Measurement
+from apcc_torch.control.trajectory import Trajectory
 from apcc_torch.errors import ConfigError
 from apcc_torch.model.abscissae import decouple
 from apcc_torch.model.integrators import ArmState
@@ -25,7 +26,6 @@ from apcc_torch.simulation.plant import Plant, PlantState
 from apcc_torch.simulation.progress import Progress, quiet
 from apcc_torch.simulation.rollout import rollout
 from apcc_torch.simulation.sensors import Draws, PoseSensors, SensorState
-from apcc_torch.simulation.trajectory import Trajectory
 
 
 @dataclass(frozen=True)

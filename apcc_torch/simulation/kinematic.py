@@ -9,7 +9,8 @@ from torch import Tensor, nn
 
 from apcc_torch.control.bounds import scaled_within
 from apcc_torch.control.controller import APCCController
-from apcc_torch.control.signals import ControllerState, Measurement
+from apcc_torch.control.step_io import ControllerState, Measurement
+from apcc_torch.control.trajectory import Trajectory
 from apcc_torch.errors import ValueRangeError
 from apcc_torch.linalg import damped_pseudo_inverse
 from apcc_torch.model.abscissae import decouple
@@ -18,7 +19,6 @@ from apcc_torch.native.compiled import compiled
 from apcc_torch.settings import hold_rows
 from apcc_torch.simulation.progress import Progress, quiet
 from apcc_torch.simulation.rollout import rollout
-from apcc_torch.simulation.trajectory import Trajectory
 
 
 class KinematicLog(NamedTuple):

@@ -15,8 +15,8 @@ import torch
 from torch import Tensor
 from torch.utils.checkpoint import checkpoint
 
+from apcc_torch.simulation.log_rows import Rows
 from apcc_torch.simulation.progress import Progress, quiet
-from apcc_torch.simulation.rows import Rows
 
 S = TypeVar("S")
 Period = Callable[..., tuple[S, Sequence[Tensor]]]

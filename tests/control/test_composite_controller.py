@@ -14,7 +14,8 @@ from apcc_torch.control.composite_controller import CompositeController, Composi
 from apcc_torch.control.controller import APCCController
 from apcc_torch.control.inverse_kinematics import InverseKinematics
 from apcc_torch.control.pid import TendonPID, ramp
-from apcc_torch.control.signals import Measurement, Target
+from apcc_torch.control.step_io import Measurement, Target
+from apcc_torch.control.trajectory import SineTrajectory
 from apcc_torch.errors import ConfigError, ShapeError, ValueRangeError
 from apcc_torch.estimation.savitzky_golay import SavitzkyGolay
 from apcc_torch.estimation.state_feedback import StateFeedback
@@ -30,7 +31,6 @@ from apcc_torch.native.structure import flattened
 from apcc_torch.simulation.dynamic import DynamicLog, DynamicSettings, simulate_dynamic
 from apcc_torch.simulation.plant import Plant
 from apcc_torch.simulation.sensors import PoseSensors
-from apcc_torch.simulation.trajectory import SineTrajectory
 from arms import HANGING_BASE, PI, PI_HAT, configurations
 from laws import bits, check_bad_row, generator, leaves, normal
 

@@ -12,7 +12,7 @@ from torch.func import jacfwd
 from apcc_torch.control.adaptation import AdaptiveLaw
 from apcc_torch.control.controller import APCCController
 from apcc_torch.control.inverse_kinematics import InverseKinematics
-from apcc_torch.control.signals import Command, ControllerState, Measurement, Target
+from apcc_torch.control.step_io import Command, ControllerState, Measurement, Target
 from apcc_torch.control.task_integral import TaskIntegral
 from apcc_torch.errors import DtypeError, ShapeError, ValueRangeError
 from apcc_torch.estimation.feedback import FeedbackStatus

@@ -14,7 +14,7 @@ from apcc_torch.control.controller import APCCController
 from apcc_torch.control.inverse_kinematics import InverseKinematics
 from apcc_torch.control.length_bank import UNSEEN, BankEvidence, LengthBank, candidates
 from apcc_torch.control.residual_adaptation import ResidualLaw
-from apcc_torch.control.signals import Measurement, Target
+from apcc_torch.control.step_io import Measurement, Target
 from apcc_torch.errors import ConfigError, ValueRangeError
 from apcc_torch.estimation.savitzky_golay import SavitzkyGolay
 from apcc_torch.estimation.sensor_curve import SensorCurve

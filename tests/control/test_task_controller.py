@@ -8,13 +8,13 @@ from torch import Tensor
 
 from apcc_torch.control.adaptation import AdaptiveLaw
 from apcc_torch.control.clearance import ClearanceCost
-from apcc_torch.control.constrained import SolverStatus, TendonLimits
 from apcc_torch.control.controller import APCCController
 from apcc_torch.control.inverse_kinematics import InverseKinematics
 from apcc_torch.control.obstacles import Sphere
-from apcc_torch.control.signals import Command, ControllerState, Measurement, Target
+from apcc_torch.control.step_io import Command, ControllerState, Measurement, Target
 from apcc_torch.control.task_controller import TaskController
 from apcc_torch.control.tasks import Task, TaskTarget
+from apcc_torch.control.tendon_limits import SolverStatus, TendonLimits
 from apcc_torch.errors import ConfigError, ShapeError
 from apcc_torch.estimation.savitzky_golay import SavitzkyGolay
 from apcc_torch.estimation.state_feedback import StateFeedback

@@ -8,7 +8,7 @@ import pytest
 import torch
 import yaml
 
-from apcc_torch.conf_path import conf_path
+from apcc_torch.composition.conf_path import conf_path
 from apcc_torch.envs.arm import Arm
 from apcc_torch.envs.dynamic import DynamicArm
 from arm_rows import row_parameters

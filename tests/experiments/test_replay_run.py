@@ -12,12 +12,12 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from apcc_torch.errors import ConfigError, DataError
+from apcc_torch.estimation.rest_calibration import Calibration
 from apcc_torch.experiments import replay
 from apcc_torch.model.abscissae import decouple
 from apcc_torch.model.backbone import PCCBackbone
-from apcc_torch.simulation.calibration import Calibration
-from apcc_torch.simulation.recording import Recording, save_recording
-from apcc_torch.simulation.replay_log import ReplayLog
+from apcc_torch.recordings.recording import Recording, save_recording
+from apcc_torch.recordings.replay_log import ReplayLog
 from composed import changed
 
 LENGTHS = torch.tensor([0.1, 0.12, 0.11], dtype=torch.float64)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from apcc_torch.configs.schema import SimulateConfig
+from apcc_torch.composition.schema import SimulateConfig
 from apcc_torch.errors import ConfigError
 from apcc_torch.experiments import run as module
 from apcc_torch.experiments.run import objective_in, objective_value, run, settings_of

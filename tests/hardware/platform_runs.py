@@ -12,8 +12,8 @@ from functools import cache
 from pathlib import Path
 
 import apcc_torch
-from apcc_torch.configs.realtime import RealtimeConfig
-from apcc_torch.experiments import arm_calibration
+from apcc_torch.composition.realtime import RealtimeConfig
+from apcc_torch.experiments import calibrate as arm_calibration
 from apcc_torch.hardware.stops import StopReason
 from composed import composed_realtime
 from hardware.emulators.rig import MOTORS, EmulatedPlatform

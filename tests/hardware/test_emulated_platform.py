@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from apcc_torch.experiments import realtime
-from apcc_torch.hardware.arm_calibration import ArmCalibration
+from apcc_torch.experiments import realtime_run as realtime
+from apcc_torch.hardware.calibration_file import ArmCalibration
 from apcc_torch.hardware.log_reader import read_log
 from apcc_torch.hardware.stops import StopReason
 from composed import composed_realtime

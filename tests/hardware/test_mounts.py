@@ -7,12 +7,12 @@ import pytest
 import torch
 
 from apcc_torch.errors import SafetyError, ShapeError
-from apcc_torch.hardware.arm_calibration import rest_calibration
+from apcc_torch.estimation.sensor_gate import SensorGate
+from apcc_torch.hardware.calibration_file import rest_calibration
 from apcc_torch.hardware.interfaces import PoseSample
 from apcc_torch.hardware.mounts import Mounts
 from apcc_torch.hardware.sensing import Sensing, SensingLimits
 from apcc_torch.lie import so3
-from apcc_torch.simulation.gating import SensorGate
 from fake_runs import builder, rest
 
 ALL = np.ones(3, dtype=np.bool_)

@@ -9,10 +9,10 @@ import pytest
 import torch
 
 from apcc_torch.errors import ValueRangeError
+from apcc_torch.estimation.sensor_gate import Reason, SensorGate
 from apcc_torch.hardware.interfaces import PoseSample
 from apcc_torch.hardware.sensing import Sensing, SensingLimits
 from apcc_torch.hardware.stops import StopReason
-from apcc_torch.simulation.gating import Reason, SensorGate
 from fake_runs import builder, rest
 
 ALL = np.ones(3, dtype=np.bool_)

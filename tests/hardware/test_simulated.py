@@ -14,7 +14,7 @@ import pytest
 import torch
 
 import apcc_torch
-from apcc_torch.configs.build import Builder
+from apcc_torch.composition.build import Builder
 from apcc_torch.errors import CommunicationError, HardwareError, ValueRangeError
 from apcc_torch.hardware.clock import MonotonicClock, VirtualClock
 from apcc_torch.hardware.simulated.actuator import SimulatedActuator

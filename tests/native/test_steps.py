@@ -12,8 +12,9 @@ from apcc_torch import AdaptiveLaw, APCCController, InverseKinematics, PCCBackbo
 from apcc_torch.control.length_bank import LengthBank
 from apcc_torch.control.pid import TendonPID
 from apcc_torch.control.residual_adaptation import ResidualLaw
-from apcc_torch.control.signals import Measurement, Target
+from apcc_torch.control.step_io import Measurement, Target
 from apcc_torch.control.task_integral import TaskIntegral
+from apcc_torch.control.trajectory import SetPoint
 from apcc_torch.estimation.pose_filter import PoseFilter
 from apcc_torch.estimation.sensor_curve import SensorCurve
 from apcc_torch.model.abscissae import decouple
@@ -28,7 +29,6 @@ from apcc_torch.simulation import kinematic
 from apcc_torch.simulation.dynamic import ClosedLoop
 from apcc_torch.simulation.plant import Plant
 from apcc_torch.simulation.sensors import PoseSensors
-from apcc_torch.simulation.trajectory import SetPoint
 from laws import generator, normal
 
 D = torch.float64

@@ -12,9 +12,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from apcc_torch.errors import ShapeError
+from apcc_torch.estimation.sensor_gate import Reason
 from apcc_torch.report.replay import REASON_COLORS, ReplayCurves, replay_figure, spans
 from apcc_torch.report.style import save_figure
-from apcc_torch.simulation.gating import Reason
 
 
 @pytest.fixture

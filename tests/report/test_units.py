@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from apcc_torch.configs.schema import SimulateConfig
+from apcc_torch.composition.schema import SimulateConfig
 from apcc_torch.report.units import KEY_UNITS, key_label, metric_label
 
 

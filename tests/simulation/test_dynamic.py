@@ -16,6 +16,7 @@ from apcc_torch.control.adaptation import AdaptiveLaw
 from apcc_torch.control.controller import APCCController
 from apcc_torch.control.inverse_kinematics import InverseKinematics
 from apcc_torch.control.pid import TendonPID, ramp
+from apcc_torch.control.trajectory import SetPoint
 from apcc_torch.errors import ConfigError, ValueRangeError
 from apcc_torch.estimation.savitzky_golay import SavitzkyGolay
 from apcc_torch.estimation.state_feedback import StateFeedback
@@ -29,7 +30,6 @@ from apcc_torch.model.tendons import TendonRouting, rack_routing
 from apcc_torch.simulation.dynamic import DynamicLog, DynamicSettings, simulate_dynamic
 from apcc_torch.simulation.plant import Plant
 from apcc_torch.simulation.sensors import PoseSensors
-from apcc_torch.simulation.trajectory import SetPoint
 from arms import HANGING_BASE, PI
 from laws import bits, generator
 

@@ -12,6 +12,7 @@ from torch import Tensor
 from apcc_torch.control.adaptation import AdaptiveLaw
 from apcc_torch.control.controller import APCCController
 from apcc_torch.control.inverse_kinematics import InverseKinematics
+from apcc_torch.control.trajectory import SineTrajectory
 from apcc_torch.errors import ValueRangeError
 from apcc_torch.estimation.feedback import FeedbackStatus
 from apcc_torch.estimation.savitzky_golay import SavitzkyGolay
@@ -19,7 +20,6 @@ from apcc_torch.estimation.state_feedback import StateFeedback
 from apcc_torch.model.backbone import PCCBackbone
 from apcc_torch.simulation.kinematic import simulate_exact, simulate_feedback, start_configuration
 from apcc_torch.simulation.metrics import backbone_error
-from apcc_torch.simulation.trajectory import SineTrajectory
 from arms import HANGING_BASE, PI, PI_HAT
 from laws import generator, uniform
 

@@ -16,6 +16,7 @@ from apcc_torch.control.adaptation import AdaptiveLaw
 from apcc_torch.control.controller import APCCController
 from apcc_torch.control.inverse_kinematics import InverseKinematics
 from apcc_torch.control.pid import TendonPID
+from apcc_torch.control.trajectory import SetPoint, SineTrajectory
 from apcc_torch.estimation.savitzky_golay import SavitzkyGolay
 from apcc_torch.estimation.state_feedback import StateFeedback
 from apcc_torch.model.backbone import PCCBackbone
@@ -28,7 +29,6 @@ from apcc_torch.simulation.kinematic import FeedbackLoop, FeedbackState, simulat
 from apcc_torch.simulation.plant import Plant
 from apcc_torch.simulation.rollout import rollout
 from apcc_torch.simulation.sensors import PoseSensors
-from apcc_torch.simulation.trajectory import SetPoint, SineTrajectory
 from arms import HANGING_BASE, PI, PI_HAT
 from laws import bits, generator, leaves, uniform
 

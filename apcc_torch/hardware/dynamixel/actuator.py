@@ -10,7 +10,6 @@ import numpy as np
 
 from apcc_torch.errors import CommunicationError, DataError, DeviceFaultError, HardwareError, SafetyError
 from apcc_torch.hardware.dynamixel.bus import DynamixelBus, raise_all
-from apcc_torch.hardware.dynamixel.calibration import check_mark, leave_mark
 from apcc_torch.hardware.dynamixel.gripper import Gripper
 from apcc_torch.hardware.dynamixel.motors import Motors
 from apcc_torch.hardware.dynamixel.port import BusPort
@@ -18,6 +17,7 @@ from apcc_torch.hardware.dynamixel.registers import TICKS_PER_TURN
 from apcc_torch.hardware.dynamixel.settings import DynamixelSettings
 from apcc_torch.hardware.dynamixel.spool import Spools, Ticks
 from apcc_torch.hardware.dynamixel.status import MotorStatus
+from apcc_torch.hardware.dynamixel.zero_mark import check_mark, leave_mark
 from apcc_torch.hardware.interfaces import Array, TendonActuator, TendonReading
 
 log = logging.getLogger(__name__)

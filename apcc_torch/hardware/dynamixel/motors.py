@@ -7,7 +7,6 @@ from collections.abc import Mapping
 
 from apcc_torch.errors import CommunicationError, DeviceFaultError, HardwareError
 from apcc_torch.hardware.dynamixel.bus import DynamixelBus
-from apcc_torch.hardware.dynamixel.calibration import erase_mark
 from apcc_torch.hardware.dynamixel.registers import (
     ACCELERATION_UNIT,
     BUS_WATCHDOG,
@@ -42,6 +41,7 @@ from apcc_torch.hardware.dynamixel.status import (
     MotorStatus,
     indirect_addresses,
 )
+from apcc_torch.hardware.dynamixel.zero_mark import erase_mark
 
 log = logging.getLogger(__name__)
 

@@ -8,8 +8,7 @@ import torch
 from apcc_torch.errors import HardwareError, ShapeError, ValueRangeError
 from apcc_torch.hardware.interfaces import Array
 from apcc_torch.hardware.optitrack.settings import OptiTrackSettings
-from apcc_torch.simulation.calibration import chordal_mean, rotation_angle
-from apcc_torch.simulation.recording import quaternion_rotation
+from apcc_torch.lie.rotations import chordal_mean, quaternion_rotation, rotation_angle
 
 # The y-up axes turned so that y becomes z: (x, y, z) -> (x, -z, y).
 _Y_TO_Z = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])

@@ -1,7 +1,7 @@
 """Which rigid bodies of a frame to believe: what the source says, what a pose must be, and what a body can do.
 
 This is the device's own gate: it knows no arm. What an arm can do (reach, bend, twist) is judged behind it, by
-`apcc_torch.simulation.gating.SensorGate`. A body is judged against its last accepted pose. Once it has jumped, or has
+`estimation.sensor_gate.SensorGate`. A body is judged against its last accepted pose. Once it has jumped, or has
 taken another's identity, it is believed again only after some frames in a row that agree with each other.
 """
 

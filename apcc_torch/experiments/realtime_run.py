@@ -1,0 +1,167 @@
+"""One run on an arm, real or simulated: settings to a folder with its log, metrics and events."""
+
+from __future__ import annotations
+
+import logging
+import sys
+import time
+from contextlib import ExitStack
+from dataclasses import replace
+from pathlib import Path
+
+from omegaconf import DictConfig, OmegaConf
+
+from apcc_torch.composition.build_devices import Devices
+from apcc_torch.composition.build_realtime import RealtimeBuilder
+from apcc_torch.composition.calibrated import calibrated, load_calibration
+from apcc_torch.composition.realtime import RealtimeConfig
+from apcc_torch.composition.typed import typed
+from apcc_torch.errors import DataError
+from apcc_torch.experiments.folder import versions
+from apcc_torch.files import write_json
+from apcc_torch.hardware.calibration_confirmation import CalibrationTolerances, calibration_checks
+from apcc_torch.hardware.calibration_file import ArmCalibration
+from apcc_torch.hardware.log import RunLog
+from apcc_torch.hardware.log_reader import RobotLog
+from apcc_torch.hardware.log_replay import Replayed, replay
+from apcc_torch.hardware.mounts import Mounts
+from apcc_torch.hardware.realtime import freeze, realtime
+from apcc_torch.hardware.records import Event, Observer, Outcome
+from apcc_torch.hardware.runner import Runner
+from apcc_torch.hardware.setup import Setup
+from apcc_torch.hardware.stop_request import StopRequest
+from apcc_torch.hardware.stops import StopReason
+from apcc_torch.hardware.summary import Summary
+from apcc_torch.hardware.view import LiveView
+
+log = logging.getLogger(__name__)
+
+LOG, CONFIG, CALIBRATION = "log.mcap", "config.yaml", "calibration.json"
+
+
+def run(config: RealtimeConfig, settings: str, folder: Path) -> tuple[Outcome, dict[str, float]]:
+    """Runs the configured experiment once.
+
+    Args:
+        config: Settings.
+        settings: The same as text, for the log.
+        folder: For the log, events and metrics.
+
+    Returns:
+        How it ended, and its metrics.
+
+    Raises:
+        ConfigError, ValueRangeError: A setting has no meaning.
+        DataError: The log cannot be opened.
+        HardwareError: The priority or memory that was asked for is refused.
+    """
+    calibration = load_calibration(config)
+    # The devices are what they are, whatever the model takes from the calibration.
+    devices = RealtimeBuilder(config).devices()
+    attached = {CONFIG: settings}
+    if calibration is not None:
+        config = calibrated(config, calibration)
+        attached = {CONFIG: OmegaConf.to_yaml(OmegaConf.structured(config)), CALIBRATION: calibration.text()}
+    build = RealtimeBuilder(config)
+    summary = Summary()
+    observers: list[Observer] = [summary]
+    request = StopRequest()
+    setup = _setup(build, devices, request, observers, calibration)
+    log_file = None
+    with ExitStack() as stack:
+        stack.enter_context(request.on_signals())
+        if config.log:
+            log_file = stack.enter_context(_log(build, devices, attached, folder))
+            observers.append(log_file)
+        if config.view and sys.stdout.isatty():
+            observers.append(stack.enter_context(LiveView(sys.stdout)))
+        stack.enter_context(realtime(config.loop.priority, config.loop.lock_memory))
+        outcome = Runner(setup).run()
+    failure = None if log_file is None else log_file.failure()
+    metrics = summary.metrics(outcome) | devices.metrics()
+    try:
+        _write(folder, config, summary.events, metrics)
+    except OSError as error:
+        failure = failure or f"{folder} cannot be written: {error}"
+    if failure is not None:
+        log.error("%s", failure)
+        if not outcome.reason.failed:
+            outcome = replace(outcome, reason=StopReason.LOG_FAILED, message=failure)
+    return outcome, metrics
+
+
+def _setup(
+    build: RealtimeBuilder,
+    devices: Devices,
+    request: StopRequest,
+    observers: list[Observer],
+    calibration: ArmCalibration | None,
+) -> Setup:
+    setup = Setup(
+        devices.actuator,
+        devices.sensor,
+        build.sensing(None if calibration is None else Mounts.of(calibration.rest)),
+        build.control(),
+        build.limits(),
+        build.guards(),
+        build.loop(),
+        devices.clock,
+        request,
+        observers,
+        prepared=freeze,
+    )
+    if calibration is None:
+        return setup
+    c = build.config.calibration
+    tolerances = CalibrationTolerances(c.base_tolerance, c.base_angle_tolerance, c.rest_tolerance)
+    return replace(setup, checks=calibration_checks(calibration, setup, tolerances))
+
+
+def _log(build: RealtimeBuilder, devices: Devices, attached: dict[str, str], folder: Path) -> RunLog:
+    try:
+        stream = (folder / LOG).open("wb")
+    except OSError as error:
+        raise DataError(f"the log {folder / LOG} cannot be opened: {error.strerror}") from error
+    offset = time.time() - devices.clock.now()
+    return RunLog(stream, build.layouts(), offset, {"versions": versions()}, attached)
+
+
+def _write(folder: Path, config: RealtimeConfig, events: list[Event], metrics: dict[str, float]) -> None:
+    """events.json, versions.json and, last, metrics.json: a folder with metrics is complete."""
+    rows = [
+        {
+            "time": event.time,
+            "kind": event.kind,
+            "state": event.state.value,
+            "message": event.message,
+            "reason": None if event.reason is None else event.reason.value,
+        }
+        for event in events
+    ]
+    write_json(folder / "events.json", {"events": rows})
+    write_json(folder / "versions.json", {**versions(), "seed": config.seed})
+    write_json(folder / "metrics.json", metrics)
+
+
+def settings_of(record: RobotLog) -> RealtimeConfig:
+    """The settings that a log carries.
+
+    Raises:
+        DataError: It carries none.
+        ConfigError: They have no meaning.
+    """
+    if CONFIG not in record.attachments:
+        raise DataError("the log carries no settings to build its controller from")
+    cfg = OmegaConf.merge(OmegaConf.structured(RealtimeConfig), OmegaConf.create(record.attachments[CONFIG]))
+    assert isinstance(cfg, DictConfig)  # what merging structured settings gives
+    return typed(cfg, RealtimeConfig)
+
+
+def replay_log(record: RobotLog) -> Replayed:
+    """A log once more through the controller that its own settings describe.
+
+    Raises:
+        DataError: The log has no settings, or no control step.
+        ConfigError: Its settings have no meaning.
+    """
+    return replay(record, RealtimeBuilder(settings_of(record)).control())

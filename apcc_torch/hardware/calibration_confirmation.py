@@ -1,0 +1,84 @@
+"""What a run confirms of its calibration before torque: the motors' zero, the base, and where the bodies hang."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from apcc_torch.errors import DataError, SafetyError
+from apcc_torch.hardware.arming import complete_frame
+from apcc_torch.hardware.calibration_file import ArmCalibration
+from apcc_torch.hardware.interfaces import PoseSensor, TendonActuator
+from apcc_torch.hardware.setup import Setup
+from apcc_torch.lie.rotations import rotation_angle
+
+
+@dataclass(frozen=True)
+class CalibrationTolerances:
+    """base: m, and base_angle: rad, by which the base may have moved. rest: m by which a body may hang beside its
+    place; None: that is not checked."""
+
+    base: float = 5e-3
+    base_angle: float = 0.03
+    rest: float | None = 0.02
+
+
+def calibration_checks(
+    calibration: ArmCalibration, setup: Setup, tolerances: CalibrationTolerances
+) -> list[Callable[[], None]]:
+    """The checks in order, for `Setup.checks`; each raises SafetyError with one sentence, or another HardwareError."""
+
+    def zero() -> None:
+        restore_zero(calibration, setup.actuator)
+
+    def base() -> None:
+        check_base(calibration, setup.sensor, tolerances)
+
+    def rest() -> None:
+        check_rest(calibration, setup, tolerances)
+
+    return [zero, base] if tolerances.rest is None else [zero, base, rest]
+
+
+def restore_zero(calibration: ArmCalibration, actuator: TendonActuator) -> None:
+    """Gives the motors their zero back.
+
+    Raises:
+        SafetyError: The calibration is of other motors.
+        HardwareError: A motor has lost its zero since.
+    """
+    try:
+        actuator.restore(calibration.actuator)
+    except DataError as error:
+        raise SafetyError(f"calibration {calibration.id} does not fit: {error}") from error
+
+
+def check_base(calibration: ArmCalibration, sensor: PoseSensor, tolerances: CalibrationTolerances) -> None:
+    """Raises SafetyError if the base is not where it was."""
+    if calibration.base is None or sensor.base is None:
+        return
+    before, now = np.array(calibration.base), sensor.base
+    moved = float(np.linalg.norm(now[:3, 3] - before[:3, 3]))
+    turned = float(rotation_angle(torch.tensor(now[:3, :3]), torch.tensor(before[:3, :3])))
+    if moved > tolerances.base or turned > tolerances.base_angle:
+        raise SafetyError(
+            f"the base has moved by {1e3 * moved:.1f} mm and {turned:.3f} rad since calibration {calibration.id}: "
+            "calibrate again"
+        )
+
+
+def check_rest(calibration: ArmCalibration, setup: Setup, tolerances: CalibrationTolerances) -> None:
+    """Raises SafetyError if a body does not hang where it hung."""
+    seen = complete_frame(setup)
+    rest = calibration.rest
+    place = (rest.abscissae.unsqueeze(-1) * rest.base_rotation[:, 2]).numpy()
+    beside = np.linalg.norm(seen.T[:, :3, 3] - place, axis=-1)
+    if tolerances.rest is not None and beside.max() > tolerances.rest:
+        name = rest.names[int(beside.argmax())]
+        raise SafetyError(
+            f"{name} hangs {1e3 * beside.max():.1f} mm beside its place in calibration {calibration.id}: let the arm "
+            "hang at rest, or calibrate again"
+        )

@@ -1,0 +1,54 @@
+"""Rotations as measurements bring them: from quaternions, their angle from each other, and their mean."""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor
+
+from apcc_torch.shapes import check_tensor
+
+_OUTLIER = 3.0
+"""Rotations this many times the median angle off the mean are left out of it."""
+
+
+def quaternion_rotation(quaternion: Tensor) -> Tensor:
+    """The matrix (..., 3, 3) of a quaternion (x, y, z, w), times its squared length.
+
+    It is a rotation for a unit quaternion only: one of another length, zero too, is seen in the matrix.
+
+    Args:
+        quaternion: (..., 4).
+    """
+    x, y, z, w = check_tensor("quaternion", quaternion, (4,)).unbind(-1)
+    xx, yy, zz, ww = x * x, y * y, z * z, w * w
+    rows = (
+        *(ww + xx - yy - zz, 2 * (x * y - w * z), 2 * (x * z + w * y)),
+        *(2 * (x * y + w * z), ww - xx + yy - zz, 2 * (y * z - w * x)),
+        *(2 * (x * z - w * y), 2 * (y * z + w * x), ww - xx - yy + zz),
+    )
+    return torch.stack(rows, dim=-1).unflatten(-1, (3, 3))
+
+
+def rotation_angle(a: Tensor, b: Tensor) -> Tensor:
+    """The angle in rad between rotations (..., 3, 3); from the chord, so that small angles keep their digits."""
+    chord = torch.linalg.matrix_norm(a - b) / math.sqrt(8.0)
+    return 2 * torch.asin(chord.clamp(max=1.0))
+
+
+def chordal_mean(rotations: Tensor) -> Tensor:
+    """The rotation (3, 3) nearest to the sum of rotations (N, 3, 3), a robust mean after one trimming.
+
+    Frames whose angle from the first mean is above three times the median angle are left out of the second.
+    """
+
+    def nearest(total: Tensor) -> Tensor:
+        U, _, Vh = torch.linalg.svd(total)
+        sign = torch.ones(3, dtype=total.dtype, device=total.device)
+        sign[-1] = torch.det(U @ Vh)
+        return (U * sign) @ Vh
+
+    first = nearest(rotations.sum(0))
+    angle = rotation_angle(first, rotations)
+    return nearest(rotations[angle <= _OUTLIER * angle.median() + 1e-9].sum(0))

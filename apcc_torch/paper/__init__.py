@@ -1,0 +1,1 @@
+"""The paper's tables, figures and studies, beside its printed numbers."""

@@ -1,0 +1,83 @@
+"""What `python -m apcc_torch.robot` runs: one experiment on an arm, a calibration, or a series with its study."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from omegaconf import DictConfig, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+
+from apcc_torch.composition.choice import choice
+from apcc_torch.composition.realtime import RealtimeConfig
+from apcc_torch.composition.typed import typed
+from apcc_torch.errors import ConfigError
+from apcc_torch.experiments import calibrate as arm_calibration
+from apcc_torch.experiments import realtime_run as realtime
+from apcc_torch.experiments.folder import versions
+from apcc_torch.files import write_atomically, write_json
+from apcc_torch.hardware.records import Outcome
+from apcc_torch.hardware.stops import StopReason
+from apcc_torch.paper import mapping_study, state_feedback_study
+
+log = logging.getLogger(__name__)
+
+Study = Callable[[Path, Sequence[str], bool], dict[str, float]]
+STUDIES: Mapping[str, Study] = {"experiment_1": state_feedback_study.study, "experiment_2": mapping_study.study}
+RAN = (StopReason.ARRIVED, StopReason.DURATION, StopReason.DIVERGENCE)
+"""Ends after which the next run of a series may begin; the others need someone to look at the arm."""
+
+
+def run(cfg: DictConfig, folder: Path) -> tuple[Outcome, dict[str, float]]:
+    """Runs the settings into `folder`; returns how it ended, and its metrics.
+
+    Raises:
+        ConfigError, ValueRangeError, DataError: A setting has no meaning.
+        HardwareError: The priority or memory that was asked for is refused.
+    """
+    config = typed(cfg, RealtimeConfig)
+    settings = OmegaConf.to_yaml(cfg, resolve=True)
+    write_atomically(folder / realtime.CONFIG, settings)
+    if config.series.runs:
+        return series(cfg, config, folder)
+    if config.experiment.kind == arm_calibration.KIND:
+        return arm_calibration.run(config, folder)
+    return realtime.run(config, settings, folder)
+
+
+def series(cfg: DictConfig, config: RealtimeConfig, folder: Path) -> tuple[Outcome, dict[str, float]]:
+    """Every run in a folder of its own, and then the study of those that came to their end."""
+    s = config.series
+    if s.study is not None:
+        choice("series.study", s.study, tuple(STUDIES))
+    names = list(s.runs) if s.only is None else s.only
+    for name in names:
+        choice("series.only", name, tuple(s.runs))
+    done: list[str] = []
+    outcome: Outcome | None = None
+    for name in names:
+        outcome, metrics = run(_changed(cfg, s.runs[name]), folder / name)
+        if not metrics or outcome.reason not in RAN:
+            return outcome, {}
+        log.info("%s: %s: %s", name, outcome.reason.value, outcome.message)
+        done.append(name)
+    if outcome is None:
+        raise ConfigError("series.only must name at least one run")
+    found = {} if s.study is None else STUDIES[s.study](folder, done, s.figures)
+    found["runs"] = float(len(done))
+    write_json(folder / "versions.json", {**versions(), "seed": config.seed})
+    write_json(folder / "metrics.json", found)
+    return replace(outcome, reason=StopReason.COMPLETED, message=f"{len(done)} runs are in {folder}"), found
+
+
+def _changed(cfg: DictConfig, overrides: Sequence[str]) -> DictConfig:
+    """The settings of one run of a series."""
+    try:
+        changed = OmegaConf.merge(cfg, OmegaConf.from_dotlist(list(overrides)))
+    except OmegaConfBaseException as error:
+        raise ConfigError(f"series.runs: {str(error).splitlines()[0]}") from error
+    assert isinstance(changed, DictConfig)  # what merging settings gives
+    changed.series.runs = {}
+    return changed

@@ -1,0 +1,151 @@
+"""How much there is to win: the least that any rest lengths could leave on the arm's true motion under one controller.
+
+For the shape it is the best fit of the model's sections to the true backbone. For what algorithm 2 makes of the
+sensors, Psi and the residuals, it is the best over the run's own rest lengths and a grid of others, each metric by
+itself: no law that moves them within its bounds does better on this motion but for the grid's steps, and none does all
+of it at once.
+The grid holds lengths far beyond the bounds too, of any split of the arm that the sensors can tell.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from apcc_torch.composition.build import Builder
+from apcc_torch.composition.schema import SimulateConfig
+from apcc_torch.control.inverse_kinematics import elongation_cost
+from apcc_torch.control.length_bank import candidates
+from apcc_torch.estimation.best_fit import oracle_fit
+from apcc_torch.estimation.state_feedback import StateFeedback
+from apcc_torch.experiments.dynamic import Arms, thinned
+from apcc_torch.model.abscissae import decouple
+from apcc_torch.simulation.dynamic import DynamicLog
+from apcc_torch.simulation.metrics import backbone_error, orientation_error
+
+INSTANTS = 15
+"""Instants of a run that are fitted, about."""
+POINTS = 60
+"""Backbone points of a fit."""
+STEPS = 5
+"""Values of each rest length in the grid."""
+REACH = 0.25
+"""Where the law has no bounds, the grid goes this far from the nominal lengths, relative."""
+SHARES = (0.4, 0.6, 0.8, 1.0, 1.2, 1.5)
+"""Beyond the bounds too: shares of the nominal lengths, see `control.length_bank.candidates`."""
+TOTALS = (1.0, 0.9, 1.1)
+"""Their total lengths, relative."""
+PRICES = (0.0, 1e-3, 3e-3, 1e-2, 2e-2, 3e-2, 5e-2, 0.1, 0.2, 0.3, 0.5, 1.0, 3.0)
+"""m of shape error that a metre of Psi is worth, along the trade-off."""
+
+
+class Limits(NamedTuple):
+    """The least values at S instants of R runs, each by itself.
+
+    shape: (S, R) m, the oracle's. psi: (S, R) m, linear: (S, R, k) m and angular: (S, R, k) rad, over the grid of rest
+    lengths. front: (P, 2, S, R) shape error and Psi, m, of the rest lengths that are best at each price of `PRICES`.
+    share: (S,) of the time that an instant stands for; means over time are weighed by it.
+    """
+
+    shape: Tensor
+    psi: Tensor
+    linear: Tensor
+    angular: Tensor
+    front: Tensor
+    share: Tensor
+
+    def rows(self, index: list[int]) -> Limits:
+        """Some runs alone."""
+        return Limits(
+            self.shape[:, index], self.psi[:, index], self.linear[:, index], self.angular[:, index],
+            self.front[..., index], self.share,
+        )  # fmt: skip
+
+    def mean(self, value: Tensor) -> float:
+        """Mean of a value (S, R, ...) over time, runs and all else."""
+        weighed: Tensor = self.share.reshape(-1, *[1] * (value.dim() - 1)) * value
+        return float(weighed.sum(0).mean())
+
+    def metrics(self) -> dict[str, float]:
+        """Flat metrics under the names of the runs' own."""
+        values: dict[str, Tensor | float] = {
+            "shape_error_mean_mm": 1e3 * self.mean(self.shape),
+            "shape_error_max_mm": 1e3 * self.shape.max(),
+            "shape_error_min_mm": 1e3 * self.shape.min(),
+            "psi_mean_cm": 1e2 * self.mean(self.psi),
+            "psi_max_cm": 1e2 * self.psi.max(),
+            "psi_min_cm": 1e2 * self.psi.min(),
+            "sensor_error_linear_mean_mm": 1e3 * self.mean(self.linear),
+            "sensor_error_angular_mean_rad": self.mean(self.angular),
+        }
+        for i in range(self.linear.shape[-1]):
+            values[f"sensor_{i + 1}_error_linear_mean_mm"] = 1e3 * self.mean(self.linear[..., i])
+            values[f"sensor_{i + 1}_error_angular_mean_rad"] = self.mean(self.angular[..., i])
+        return {name: float(value) for name, value in values.items()}
+
+    def trade_off(self) -> list[tuple[float, float]]:
+        """(mean shape error in mm, mean Psi in cm) along the front, the cheapest Psi last."""
+        return [(1e3 * self.mean(shape), 1e2 * self.mean(psi)) for shape, psi in self.front]
+
+
+def length_grid(config: SimulateConfig, build: Builder) -> Tensor:
+    """(G, n_b) rest lengths, m: evenly within the law's bounds, and those of banks of several total lengths."""
+    nominal = build.rest_lengths()
+    a = config.adaptation
+    lower = build.vector("adaptation.lower", a.lower) if a.lower else (1.0 - REACH) * nominal
+    upper = build.vector("adaptation.upper", a.upper) if a.upper else (1.0 + REACH) * nominal
+    shares = torch.linspace(0.0, 1.0, STEPS, dtype=nominal.dtype, device=nominal.device)
+    axes = [low + (high - low) * shares for low, high in zip(lower, upper, strict=True)]
+    banks = [candidates(total * nominal, SHARES, build.sensors_at()) for total in TOTALS]
+    # The nominal lengths are among them: the limit of a metric is never above what the fixed model reaches.
+    return torch.cat((*banks, torch.cartesian_prod(*axes)))
+
+
+def patient_feedback(build: Builder) -> StateFeedback:
+    """Algorithm 2 of the settings, with time for rest lengths that are far from those of the first guess."""
+    feedback = build.controller(adaptive=False).feedback
+    feedback.max_iterations = 25  # from another model's q_bar, they need more than a control step's few
+    return feedback
+
+
+def _inferred(feedback: StateFeedback, q: Tensor, pi: Tensor, T: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """q_bar and the sensors' linear and angular errors under rest lengths pi, (n_b,) or as many as of q."""
+    found = feedback(q, pi.expand(*q.shape[:-1], pi.shape[-1]), T)
+    angular = orientation_error(feedback.backbone, found.q_bar, pi, feedback.abscissae, T[..., :3, :3])
+    return found.q_bar, found.linear_error, angular
+
+
+def limits(config: SimulateConfig, log: DynamicLog, arms: Arms) -> Limits:
+    """The limits of a run's motion, with the estimator that its settings name.
+
+    Args:
+        config: The run's settings.
+        log: Its log.
+        arms: Its arms.
+    """
+    build = Builder(config)
+    feedback = patient_feedback(build)
+    few = thinned(log, INSTANTS)
+    with torch.inference_mode():
+        true = arms.true.points(few.q_true, arms.true_lengths, POINTS)
+        T = arms.true.pose(few.q_true, arms.true_lengths, *decouple(arms.sensors, arms.true_lengths))
+        shape = oracle_fit(arms.model, true, few.q_bar, few.pi_hat).error
+        found: list[tuple[Tensor, ...]] = []
+        # The lengths that the controller had at these instants are among them: it is never below its own limit.
+        for pi in (few.pi_hat, *length_grid(config, build)):
+            q, linear, angular = _inferred(feedback, few.q_bar, pi, T)
+            error = backbone_error(arms.true, few.q_true, arms.true_lengths, arms.model, q, pi, POINTS)
+            found.append((error, elongation_cost(q), linear, angular))
+        errors, psi, linear, angular = (torch.stack(column) for column in zip(*found, strict=True))
+        front = []
+        for price in PRICES:
+            best = (errors + price * psi).argmin(0, keepdim=True)
+            front.append(torch.stack((errors.gather(0, best)[0], psi.gather(0, best)[0])))
+    # An instant stands for the time half way to its neighbours, the first one from the start, the last one to the end.
+    edges = torch.cat((log.time[:1], 0.5 * (few.time[1:] + few.time[:-1]), few.time[-1:]))
+    share = edges.diff() / (edges[-1] - edges[0])
+    return Limits(
+        torch.minimum(shape, errors.amin(0)), psi.amin(0), linear.amin(0), angular.amin(0), torch.stack(front), share
+    )

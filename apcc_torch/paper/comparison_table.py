@@ -1,0 +1,193 @@
+"""The benchmark's numbers as table.json, as flat metrics, and as the text that stands beside the paper's numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from math import isfinite
+
+from apcc_torch.paper.outcomes import HELD_OUT, SINGLE, Outcome, Outcomes
+from apcc_torch.paper.printed_numbers import LEFT_OUT, PUBLISHED, TITLES, Published, published
+
+Cell = dict[str, float | None]
+
+LABELS: Mapping[str, str] = {
+    "shape_error_mean_mm": "shape error, mean (mm)",
+    "shape_error_min_mm": "shape error, min (mm)",
+    "shape_error_max_mm": "shape error, max (mm)",
+    "shape_error_lower_edge_mm": "  lower edge over time",
+    "shape_error_upper_edge_mm": "  upper edge over time",
+    "psi_mean_cm": "Psi, mean (cm)",
+    "psi_min_cm": "Psi, min (cm)",
+    "psi_max_cm": "Psi, max (cm)",
+    "psi_lower_edge_cm": "  lower edge over time",
+    "psi_upper_edge_cm": "  upper edge over time",
+    "sensor_error_linear_mean_mm": "sensors, linear (mm)",
+    "sensor_1_error_linear_mean_mm": "  sensor 1",
+    "sensor_2_error_linear_mean_mm": "  sensor 2",
+    "sensor_3_error_linear_mean_mm": "  sensor 3",
+    "sensor_error_angular_mean_rad": "sensors, angular (rad)",
+    "sensor_1_error_angular_mean_rad": "  sensor 1",
+    "sensor_2_error_angular_mean_rad": "  sensor 2",
+    "sensor_3_error_angular_mean_rad": "  sensor 3",
+    "end_effector_error_end_mm": "tip error at the end, mean (mm)",
+    "end_effector_error_end_max_mm": "tip error at the end, max (mm)",
+    "settling_mean_s": "settling to 10 mm (s)",
+    "settled_share": "settled at the end (share)",
+    "mapping_error_mean_mm": "mapping error, mean (mm)",
+    "diverged_rows": "diverged rows",
+}
+"""Metric -> its name in the text, in the text's order."""
+
+HEADLINES = ("shape_error_mean_mm", "shape_error_max_mm", "psi_mean_cm", "end_effector_error_end_mm", "diverged_rows")
+"""What the text shows of held-out set-points and of single runs that the paper has no numbers for."""
+
+NOTHING = 1e-9
+"""A value below this is rounding: the arm hangs straight at first, where the model's shape is exact."""
+COLUMNS = ("metric", "paper standard", "paper adaptive", "paper, %",
+           "ours standard", "ours adaptive", "ours, %", "limit", "own limit", "paper's figure")  # fmt: skip
+
+
+def change_percent(standard: float, adaptive: float) -> float | None:
+    """How much the adaptive controller's value is above the standard one's, percent; None where there is no telling."""
+    if not (isfinite(standard) and isfinite(adaptive)) or abs(standard) < NOTHING:
+        return None
+    return 100.0 * (adaptive - standard) / standard
+
+
+def gap_closed_percent(standard: float, adaptive: float, limit: float) -> float | None:
+    """How much of the way from the standard controller's value to the limit is gone; None where there is no way."""
+    gap = standard - limit
+    return 100.0 * (standard - adaptive) / gap if isfinite(gap) and isfinite(adaptive) and gap > NOTHING else None
+
+
+def cell(standard: float, adaptive: float, limit: float | None = None, own_limit: float | None = None) -> Cell:
+    """One entry of table.json.
+
+    `limit` is the best that any rest lengths could reach on the motion under the standard controller, `own_limit` on
+    that under the adaptive one, see `paper_limits`; None for a metric that has none.
+    """
+    return {
+        "standard": standard if isfinite(standard) else None,
+        "adaptive": adaptive if isfinite(adaptive) else None,
+        "limit": limit,
+        "own_limit": own_limit,
+        "change_percent": change_percent(standard, adaptive),
+        "gap_closed_percent": None if limit is None else gap_closed_percent(standard, adaptive, limit),
+    }
+
+
+def run_cells(both: Mapping[str, Outcome]) -> dict[str, Cell]:
+    """Metric -> cell of one run; the time taken is no result."""
+    standard, adaptive = both["standard"].metrics, both["adaptive"].metrics
+    limit, own = both["standard"].limits.metrics(), both["adaptive"].limits.metrics()
+    names = [name for name in standard if name != "wall_s" and name in adaptive]
+    return {name: cell(standard[name], adaptive[name], limit.get(name), own.get(name)) for name in names}
+
+
+def table(results: Mapping[str, Outcomes]) -> dict[str, dict[str, dict[str, Cell]]]:
+    """{comparison: {run: {metric: {standard, adaptive, limit, own_limit, change_percent, ...}}}}."""
+    return {
+        comparison: {run: run_cells(both) for run, both in outcomes.items()} for comparison, outcomes in results.items()
+    }
+
+
+def flat_metrics(results: Mapping[str, Outcomes]) -> dict[str, float]:
+    """run_controller_metric -> value; comparisons other than A say so in front."""
+    return {
+        f"{'' if comparison == 'A' else comparison + '_'}{run}_{controller}_{metric}": value
+        for comparison, outcomes in results.items()
+        for run, both in outcomes.items()
+        for controller, o in both.items()
+        for metric, value in o.metrics.items()
+    }
+
+
+def title(run: str, o: Outcome) -> str:
+    """What a run is, how many rows it has and how long they last."""
+    for suffix, words in ((HELD_OUT, ", held-out set-points"), (SINGLE, ", the named set-point, largest payload")):
+        if run.endswith(suffix):
+            base = run.removesuffix(suffix)
+            return f"{run}: {TITLES.get(base, base)}{words} ({_size(o)})"
+    return f"{run}: {TITLES.get(run, run)} ({_size(o)})"
+
+
+def _size(o: Outcome) -> str:
+    rows = o.curves.e.shape[1]
+    return f"{rows} {'run' if rows == 1 else 'runs'} of {float(o.curves.time[-1]):g} s a controller"
+
+
+def number(value: float | None) -> str:
+    """Four significant digits; 0 for rounding, a dash for nothing."""
+    if value is None:
+        return "-"
+    return "0" if abs(value) < NOTHING else f"{value:.4g}"
+
+
+def percent(value: float | tuple[float, float] | None) -> str:
+    """One decimal and a sign; "least to largest" for a pair."""
+    if value is None:
+        return "-"
+    if isinstance(value, tuple):
+        return f"{value[0]:+.0f} to {value[1]:+.0f}"
+    return f"{value:+.1f}"
+
+
+def text(results: Mapping[str, Outcomes], about: Mapping[str, str] | None = None) -> str:
+    """The table as text: the paper's numbers beside ours, run by run, with notes below.
+
+    Args:
+        results: Comparison -> run -> controller -> outcome.
+        about: Comparison -> what it compares, in words.
+    """
+    notes: list[str] = []
+    lines: list[tuple[str, ...] | str] = []
+    for comparison, outcomes in results.items():
+        meaning = (about or {}).get(comparison, "")
+        lines += ["", f"Comparison {comparison}{': ' + meaning if meaning else ''}"]
+        for run, both in outcomes.items():
+            lines += ["", title(run, both["standard"]), *_rows(run, run_cells(both), notes)]
+            if run in LEFT_OUT:
+                lines.append(f"  ({LEFT_OUT[run]})")
+    rows = (COLUMNS, *(line for line in lines if isinstance(line, tuple)))
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+
+    def laid(row: tuple[str, ...]) -> str:
+        middle = (word.rjust(width) for word, width in zip(row[1:-1], widths[1:-1], strict=True))
+        return " | ".join((row[0].ljust(widths[0]), *middle, row[-1])).rstrip()
+
+    rule = "-+-".join("-" * width for width in widths)
+    body = [line if isinstance(line, str) else laid(line) for line in lines]
+    legend = [
+        "", "Means, minima and maxima are over all runs and moments; an edge over time is the least or largest of the",
+        "runs, averaged over time. The limit is the least that any rest lengths could leave on the motion under the",
+        "standard controller, each metric by itself; the own limit that on the motion under the adaptive controller,",
+        "which is another: a law that moves the arm may pass the first. A diverged run stays in, held where it left",
+        "its bounds.",
+        *(f"[{i + 1}] {note}" for i, note in enumerate(notes)),
+    ]  # fmt: skip
+    return "\n".join([laid(COLUMNS), rule, *body, *legend]) + "\n"
+
+
+def _rows(run: str, cells: Mapping[str, Cell], notes: list[str]) -> list[tuple[str, ...]]:
+    part = run.endswith((HELD_OUT, SINGLE))
+    shown = HEADLINES if part and run not in PUBLISHED else tuple(LABELS)
+    rows: list[tuple[str, ...]] = []
+    for metric in shown:
+        if metric not in cells:
+            continue
+        if "_edge_" in metric and run.endswith(SINGLE):
+            continue  # the edges over one run are its mean
+        ours, paper = cells[metric], published(run, metric) or Published(None, None, None, "")
+        source = paper.source
+        if paper.note:
+            if paper.note not in notes:
+                notes.append(paper.note)
+            source += f" [{notes.index(paper.note) + 1}]"
+        rows.append(
+            (
+                LABELS[metric], number(paper.standard), number(paper.adaptive), percent(paper.change),
+                number(ours["standard"]), number(ours["adaptive"]), percent(ours["change_percent"]),
+                number(ours["limit"]), number(ours["own_limit"]), source,
+            )
+        )  # fmt: skip
+    return rows

@@ -1,0 +1,91 @@
+"""The figures of section V-B and Appendix A, under the paper's numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from apcc_torch.experiments.dynamic import snapshots
+from apcc_torch.paper.outcomes import HELD_OUT, SINGLE, Outcome, Outcomes
+from apcc_torch.report import dynamic as figures
+from apcc_torch.report.animation import save_animation
+from apcc_torch.report.backbone_drawing import stroboscopic_figure
+from apcc_torch.report.style import save_figure
+from apcc_torch.report.trade_off import TradeOff, trade_off_figure
+
+MOMENTS = 6
+"""Shapes in a stroboscopic figure."""
+
+
+Draw = Callable[[Mapping[str, Outcome], str, Path], Path]
+"""Draws both controllers' outcomes under a title into a file."""
+
+
+def stroboscope(runs: Mapping[str, Outcome], title: str, path: Path) -> Path:
+    """Both controllers' shapes of one run alone."""
+    shots = {name: snapshots(o.log, o.arms, 0, MOMENTS) for name, o in runs.items()}
+    return save_figure(stroboscopic_figure(shots, title=title), path)
+
+
+def drawn(figure: Callable[[figures.Runs, str], Any]) -> Draw:
+    """A figure of curves as one of outcomes."""
+    return lambda runs, title, path: save_figure(figure({name: o.curves for name, o in runs.items()}, title), path)
+
+
+SHAPE, PSI = drawn(figures.shape_error_figure), drawn(figures.psi_figure)
+PARAMETERS, SENSORS = drawn(figures.parameter_figure), drawn(figures.sensor_figure)
+
+NUMBERED: Mapping[int, tuple[str, Draw, str]] = {
+    11: ("run_1", SHAPE, "run I"),
+    12: ("run_1", PSI, "run I"),
+    13: ("run_1", PARAMETERS, "run I: parameter estimates"),
+    14: ("run_2_single", stroboscope, "single run of run II"),
+    15: ("run_2_single", SHAPE, "single run of run II"),
+    16: ("run_2_single", SENSORS, "single run of run II"),
+    17: ("run_2", SHAPE, "run II"),
+    18: ("run_2", PSI, "run II"),
+    19: ("run_2", SENSORS, "run II"),
+    40: ("robot_2", SHAPE, "arm 2"),
+    41: ("robot_2_single", stroboscope, "single run of arm 2"),
+    42: ("robot_2", PSI, "arm 2"),
+    43: ("robot_2", SENSORS, "arm 2"),
+}
+"""The paper's figure -> the run it shows, how it is drawn, and its title."""
+
+
+def trade_offs(outcomes: Outcomes) -> dict[str, TradeOff]:
+    """Title -> trade-off of every whole grid."""
+    found: dict[str, TradeOff] = {}
+    for run, both in outcomes.items():
+        if run.endswith((HELD_OUT, SINGLE)):
+            continue
+        fronts = {name: o.limits.trade_off() for name, o in both.items()}
+        limits = both["standard"].limits
+        reached = {name: (o.metrics["shape_error_mean_mm"], o.metrics["psi_mean_cm"]) for name, o in both.items()}
+        found[run.replace("_", " ")] = TradeOff(fronts, 1e3 * limits.mean(limits.shape), reached)
+    return found
+
+
+def save_paper_figures(outcomes: Outcomes, folder: Path) -> list[Path]:
+    """Writes figure_11.png and so on for every run that there is, the trade-off, and the single run's films.
+
+    Args:
+        outcomes: Run -> controller -> outcome.
+        folder: Where to.
+    """
+    paths = [
+        draw(outcomes[run], title, folder / f"figure_{number}.png")
+        for number, (run, draw, title) in NUMBERED.items()
+        if run in outcomes
+    ]
+    chosen = trade_offs(outcomes)
+    if chosen:
+        paths.append(save_figure(trade_off_figure(chosen), folder / "trade_off.png"))
+    for name, o in outcomes.get("run_2_single", {}).items():
+        film = {
+            "shape error (mm)": 1e3 * o.curves.shape_error[:, 0],
+            "end-effector error (mm)": 1e3 * o.curves.e[:, 0],
+        }
+        paths.append(save_animation(folder / f"single_run_{name}", snapshots(o.log, o.arms, 0, None), film))
+    return paths

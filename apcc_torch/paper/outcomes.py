@@ -1,0 +1,97 @@
+"""What one controller did over a grid of runs, and what of it belongs to the held-out set-points or the single run."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+from torch import Tensor
+
+from apcc_torch.composition.schema import SimulateConfig
+from apcc_torch.experiments.dynamic import Arms, curves, dynamic_metrics, simulate, thinned
+from apcc_torch.paper.best_lengths import Limits, limits
+from apcc_torch.report.dynamic import RunCurves
+from apcc_torch.simulation.dynamic import DynamicLog
+
+HELD_OUT, SINGLE = "_held_out", "_single"
+
+
+class Outcome(NamedTuple):
+    """One controller over R rows, thinned in time; with the limits of its motion."""
+
+    log: DynamicLog
+    arms: Arms
+    curves: RunCurves
+    metrics: Mapping[str, float]
+    limits: Limits
+
+    def rows(self, index: Sequence[int]) -> Outcome:
+        """Some rows alone, with their own metrics."""
+        at = list(index)
+        timed = self.log._asdict()
+        time, diverged_at = timed.pop("time"), timed.pop("diverged_at")[at]
+        log = DynamicLog(time=time, diverged_at=diverged_at, **{name: field[:, at] for name, field in timed.items()})
+        c = RunCurves(self.curves.time, *(field[:, at] for field in self.curves[1:]))
+        return Outcome(log, self.arms, c, grid_metrics(c, log.diverged_at), self.limits.rows(at))
+
+
+Outcomes = Mapping[str, Mapping[str, Outcome]]
+"""Run -> controller ("standard", "adaptive") -> outcome."""
+
+
+def grid_metrics(c: RunCurves, diverged_at: Tensor) -> dict[str, float]:
+    """The metrics of a dynamic run, and the edges of the figures' shaded bands averaged over time."""
+    edges = {
+        "shape_error_lower_edge_mm": 1e3 * c.shape_error.amin(1).mean(),
+        "shape_error_upper_edge_mm": 1e3 * c.shape_error.amax(1).mean(),
+        "psi_lower_edge_cm": 1e2 * c.psi.amin(1).mean(),
+        "psi_upper_edge_cm": 1e2 * c.psi.amax(1).mean(),
+    }
+    return dynamic_metrics(c, diverged_at) | {name: float(value) for name, value in edges.items()}
+
+
+def outcome(config: SimulateConfig, adaptive: bool, label: str) -> Outcome:
+    """Runs one controller over its experiment's whole grid.
+
+    Args:
+        config: Settings.
+        adaptive: The A-PCC controller, or the standard one.
+        label: Of the progress bar.
+
+    Raises:
+        ConfigError, ValueRangeError: A setting has no meaning.
+    """
+    started = time.perf_counter()
+    log, arms = simulate(config, adaptive, label)
+    thin = thinned(log)
+    c = curves(thin, arms)
+    metrics = grid_metrics(c, thin.diverged_at)
+    found = limits(config, thin, arms)
+    return Outcome(thin, arms, c, metrics | {"wall_s": time.perf_counter() - started}, found)
+
+
+def held_out_rows(setpoints: int, payloads: int) -> list[int]:
+    """Rows of the set-points with odd index; payloads are fastest."""
+    return [s * payloads + p for s in range(1, setpoints, 2) for p in range(payloads)]
+
+
+def single_row(payloads: Sequence[float]) -> int:
+    """Row of the first set-point, the one the paper names, with the largest payload."""
+    return max(range(len(payloads)), key=lambda p: payloads[p])
+
+
+def parts(run: str, both: Mapping[str, Outcome], config: SimulateConfig) -> dict[str, dict[str, Outcome]]:
+    """A run's held-out twin and its single run, without running anything again.
+
+    Args:
+        run: Name of the run.
+        both: Controller -> outcome of the whole grid.
+        config: Settings of the run.
+    """
+    e = config.experiment
+    held_out = held_out_rows(len(e.setpoints or ()), len(e.payloads))
+    found = {run + SINGLE: {name: o.rows([single_row(e.payloads)]) for name, o in both.items()}}
+    if held_out:
+        found[run + HELD_OUT] = {name: o.rows(held_out) for name, o in both.items()}
+    return found

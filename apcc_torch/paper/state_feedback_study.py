@@ -1,0 +1,151 @@
+"""Experiment I of the paper: what algorithm 2 infers of one motion in four ways, from the logs of its runs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from apcc_torch.composition.build import Builder
+from apcc_torch.composition.realtime import RealtimeConfig, model_settings
+from apcc_torch.errors import DataError
+from apcc_torch.estimation.sensor_curve import SensorCurve
+from apcc_torch.experiments.realtime_run import LOG, settings_of
+from apcc_torch.files import write_atomically, write_json
+from apcc_torch.hardware.log_reader import read_log
+from apcc_torch.report.state_feedback import Estimate, Estimates, final_figure, four_panel_figure, norm_figure
+from apcc_torch.report.style import save_figures
+
+MODES = ("pose", "position")
+STROBOSCOPIC = {"run_4": "fig_23.png", "run_8": "fig_24.png"}
+POINTS = 60
+"""Points along a drawn model."""
+MOMENTS = 6
+"""Shapes in a stroboscopic panel."""
+
+
+class Motion(NamedTuple):
+    """The measurements of a run: time (T,) s, poses (T, k, 4, 4) m, masks (T, k)."""
+
+    time: Tensor
+    T: Tensor
+    position_ok: Tensor
+    orientation_ok: Tensor
+
+
+def motion(folder: Path) -> tuple[RealtimeConfig, Motion]:
+    """A run's settings and what its sensors saw.
+
+    Raises:
+        DataError: The log cannot be read.
+    """
+    record = read_log(folder / LOG)
+    rows = record.topic("/measurement")
+    rows = rows[rows["usable"] == 1]
+    poses = torch.tensor(rows["poses"]).unflatten(-1, (-1, 4, 4))
+    masks = (torch.tensor(rows[name]).bool() for name in ("position_ok", "orientation_ok"))
+    return settings_of(record), Motion(torch.tensor(rows["time"]), poses, *masks)
+
+
+def estimate(config: RealtimeConfig, seen: Motion) -> Estimates:
+    """Algorithm 2 over a run, decoupled and not, from poses and from positions, each from its own last result.
+
+    Raises:
+        DataError: The run has no estimate for the decoupled case.
+    """
+    if config.ramp.estimate is None:
+        raise DataError("ramp.estimate must be given in each run of experiment I")
+    cases = {"non-decoupled": config.robot.rest_lengths, "decoupled": config.ramp.estimate}
+    pi_hat = torch.tensor(list(cases.values()), dtype=torch.float64)
+    found: Estimates = {}
+    for mode in MODES:
+        feedback = replace(config.feedback, mode=mode)
+        build = Builder(model_settings(replace(config, feedback=feedback, dtype="float64")))
+        algorithm, backbone = build.controller().feedback, build.backbone()
+        q = torch.zeros(len(cases), backbone.n, dtype=torch.float64)
+        results = []
+        with torch.inference_mode():
+            for k in range(len(seen.time)):
+                T, masks = seen.T[k], (seen.position_ok[k], seen.orientation_ok[k])
+                results.append(algorithm(q, pi_hat, T.expand(len(cases), *T.shape), *masks))
+                q = results[-1].q_bar
+            states = torch.stack([result.q_bar for result in results])
+            points = backbone.points(states, pi_hat, POINTS)
+        angular = torch.stack([result.angular_error for result in results])
+        linear = torch.stack([result.linear_error for result in results])
+        for i, case in enumerate(cases):
+            found[case, mode] = Estimate(seen.time, points[:, i], seen.T[..., :3, 3], angular[:, i], linear[:, i])
+    return found
+
+
+def study(folder: Path, runs: Sequence[str], figures: bool) -> dict[str, float]:
+    """The table of all runs (table.json, table.txt) and figures 23 to 26.
+
+    Args:
+        folder: Of the series.
+        runs: Their names, a folder each.
+        figures: Whether to draw.
+
+    Returns:
+        Means over the runs, SI units in the names.
+    """
+    found: dict[str, Estimates] = {}
+    table: dict[str, object] = {}
+    last: dict[str, tuple[Tensor, Tensor]] = {}
+    for name in runs:
+        config, seen = motion(folder / name)
+        found[name] = estimate(config, seen)
+        build = Builder(model_settings(config))
+        curve = SensorCurve(build.base_rotation(), build.sensors_at(), samples=20)
+        last[name] = curve(seen.T[-1]), seen.T[-1, :, :3, 3]
+        table[name] = {
+            "goal_m": config.ramp.goal,
+            "pi_m": config.robot.rest_lengths,
+            "pi_hat_m": config.ramp.estimate,
+            **{f"{case}, {mode}": numbers(e) for (case, mode), e in found[name].items()},
+        }
+    write_json(folder / "table.json", table)
+    write_atomically(folder / "table.txt", text(found))
+    if figures:
+        drawn = {
+            STROBOSCOPIC[name]: four_panel_figure(found[name], MOMENTS, name) for name in runs if name in STROBOSCOPIC
+        }
+        drawn["fig_25.png"] = final_figure({name: last[name] for name in runs if name in STROBOSCOPIC} or last)
+        drawn["fig_26.png"] = norm_figure(list(found.values()))
+        save_figures(drawn, folder / "figures")
+    keys = next(iter(found.values())).keys()
+    metrics: dict[str, float] = {}
+    for case, mode in keys:
+        for name, value in _mean([numbers(e[case, mode]) for e in found.values()]).items():
+            metrics[f"{case.replace('-', '_')}_{mode}_{name}"] = value
+    return metrics
+
+
+def numbers(e: Estimate) -> dict[str, float]:
+    """A run in numbers: over time, and at its end; means over the sensors."""
+    return {
+        "linear_mean_mm": 1e3 * float(e.linear.mean()),
+        "linear_end_mm": 1e3 * float(e.linear[-1].mean()),
+        "angular_mean_rad": float(e.angular.mean()),
+        "angular_end_rad": float(e.angular[-1].mean()),
+    }
+
+
+def _mean(rows: Sequence[dict[str, float]]) -> dict[str, float]:
+    return {name: sum(row[name] for row in rows) / len(rows) for name in rows[0]}
+
+
+def text(found: dict[str, Estimates]) -> str:
+    """The table as text: sensor errors at the end of each run, mm and rad."""
+    keys = list(next(iter(found.values())))
+    lines = [["run", *(f"{case}, {mode}" for case, mode in keys)]]
+    for name, estimates in found.items():
+        ends = [numbers(estimates[key]) for key in keys]
+        lines.append([name, *(f"{n['linear_end_mm']:.2f} mm {n['angular_end_rad']:.4f} rad" for n in ends)])
+    widths = [max(len(line[i]) for line in lines) for i in range(len(lines[0]))]
+    rows = ["  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)).rstrip() for line in lines]
+    return "\n".join(rows) + "\n"

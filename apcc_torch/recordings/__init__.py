@@ -1,0 +1,1 @@
+"""Recordings of real arms: reading, calibration from the rest pose, replay."""

@@ -1,0 +1,172 @@
+"""The log of a replay: how well the shape fits the sensors, what the gate held back, and the file it is kept in."""
+
+from __future__ import annotations
+
+import zipfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from apcc_torch.errors import DataError, ShapeError
+from apcc_torch.estimation.feedback import FeedbackStatus
+from apcc_torch.estimation.sensor_gate import Reason
+from apcc_torch.estimation.state_feedback import StateFeedback
+from apcc_torch.files import write_arrays
+from apcc_torch.lie.rotations import rotation_angle
+from apcc_torch.model.abscissae import decouple
+
+
+class ReplayLog(NamedTuple):
+    """A replay of N frames, time first; "..." are the rows of `replay`'s arguments.
+
+    time: (N,) s.
+    poses: (N, k, 4, 4) measured sensor poses, world frame, m; the last accepted one where the gate held one back.
+    q_bar: (N, ..., 3 n_b) inferred configuration.
+    qdot_bar: (N, ..., 3 n_b) its filtered velocity, rad/s and m/s.
+    pi_hat: (N, ..., n_b) parameters with which q_bar was inferred, m.
+    angular_error: (N, ..., k) rad, and linear_error: (N, ..., k) m, of algorithm 2 in its own measure; 0 where not
+        used. `sensor_errors` measures all modes alike.
+    iterations: (N, ...) int64.
+    status: (N, ...) int64 `FeedbackStatus`.
+    position_reason: (N, k) int64 `Reason`.
+    orientation_reason: (N, k) int64 `Reason`.
+    tip: (N, ..., 3) the model's tip at q_bar and pi_hat, world frame, m.
+    e: (N, ..., 3) the controller's error x_d - x, m; zero without a controller.
+    """
+
+    time: Tensor
+    poses: Tensor
+    q_bar: Tensor
+    qdot_bar: Tensor
+    pi_hat: Tensor
+    angular_error: Tensor
+    linear_error: Tensor
+    iterations: Tensor
+    status: Tensor
+    position_reason: Tensor
+    orientation_reason: Tensor
+    tip: Tensor
+    e: Tensor
+
+
+class SensorErrors(NamedTuple):
+    """Distance and angle between measured and modelled sensors; NaN where the gate did not accept the measurement.
+
+    linear: (N, ..., k) m.
+    angular: (N, ..., k) rad.
+    """
+
+    linear: Tensor
+    angular: Tensor
+
+
+def sensor_errors(log: ReplayLog, feedback: StateFeedback) -> SensorErrors:
+    """How far the inferred shape is from every accepted measurement, in metres and radians whatever the mode.
+
+    Sensors that `replay`'s mask left out are measured too.
+
+    Args:
+        log: The replay.
+        feedback: Its estimator.
+    """
+    X_tilde, j = decouple(feedback.abscissae.to(log.pi_hat), log.pi_hat)
+    model = feedback.backbone.pose(log.q_bar, log.pi_hat, X_tilde, j)
+
+    def per_frame(values: Tensor, inner: int) -> Tensor:
+        rows = [1] * (log.q_bar.dim() - 2)
+        return values.reshape(len(values), *rows, *values.shape[values.dim() - inner :])
+
+    measured = per_frame(log.poses, 3)
+    linear = (measured[..., :3, 3] - model[..., :3, 3]).norm(dim=-1)
+    angular = rotation_angle(measured[..., :3, :3], model[..., :3, :3])
+    return SensorErrors(
+        torch.where(per_frame(log.position_reason, 1) == int(Reason.OK), linear, torch.nan),
+        torch.where(per_frame(log.orientation_reason, 1) == int(Reason.OK), angular, torch.nan),
+    )
+
+
+def _mean(values: Tensor) -> float:
+    return float(values[values.isfinite()].mean())
+
+
+def _max(values: Tensor) -> float:
+    kept = values[values.isfinite()]
+    return float(kept.max()) if len(kept) else float("nan")
+
+
+def replay_metrics(
+    log: ReplayLog, names: Sequence[str], feedback: StateFeedback, held_out: SensorErrors | None = None
+) -> dict[str, float]:
+    """Flat name -> number of a replay with a single row; a mean over nothing is NaN.
+
+    Args:
+        log: The replay.
+        names: The sensors' names, k of them.
+        feedback: Its estimator.
+        held_out: From `held_out_error`; None leaves those entries out.
+
+    Raises:
+        ShapeError: The log has more than one row, or `names` is not one a sensor.
+    """
+    if log.q_bar.dim() != 2:
+        raise ShapeError(f"log must have a single row, q_bar of shape (N, n), got {tuple(log.q_bar.shape)}")
+    if len(names) != log.position_reason.shape[-1]:
+        raise ShapeError(f"names must have {log.position_reason.shape[-1]} entries, got {len(names)}")
+    found: dict[str, float] = {"frames": len(log.time)}
+    for status in FeedbackStatus:
+        found[f"{status.name.lower()}_frames"] = int((log.status == int(status)).sum())
+    found["iterations_mean"] = float(log.iterations.to(torch.float64).mean())
+    errors = sensor_errors(log, feedback)
+    for what, unit, factor, values in (("linear", "mm", 1e3, errors.linear), ("angular", "rad", 1.0, errors.angular)):
+        found[f"sensor_error_{what}_mean_{unit}"] = factor * _mean(values)
+        found[f"sensor_error_{what}_max_{unit}"] = factor * _max(values)
+        for i, name in enumerate(names):
+            found[f"sensor_error_{what}_mean_{unit}_{name}"] = factor * _mean(values[:, i])
+    for i, name in enumerate(names):
+        found[f"gated_position_frames_{name}"] = int((log.position_reason[:, i] != int(Reason.OK)).sum())
+        found[f"gated_orientation_frames_{name}"] = int((log.orientation_reason[:, i] != int(Reason.OK)).sum())
+        for reason in list(Reason)[1:]:
+            for what, codes in (("position", log.position_reason), ("orientation", log.orientation_reason)):
+                count = int((codes[:, i] == int(reason)).sum())
+                if count:
+                    found[f"gated_{what}_frames_{name}_{reason.name.lower()}"] = count
+        if held_out is not None and i < held_out.linear.shape[-1]:
+            found[f"held_out_error_linear_mean_mm_{name}"] = 1e3 * _mean(held_out.linear[:, i])
+            found[f"held_out_error_angular_mean_rad_{name}"] = _mean(held_out.angular[:, i])
+    coordinates = feedback.backbone.coordinates
+    found["elongation_max_mm"] = 1e3 * float(log.q_bar[:, coordinates.elongations].abs().max())
+    found["bend_max_rad"] = float(coordinates.bends(log.q_bar).norm(dim=-1).max())
+    if bool(log.e.any()):
+        found["end_effector_error_mean_mm"] = 1e3 * _mean(log.e.norm(dim=-1))
+    return found
+
+
+def write_replay(folder: str | Path, log: ReplayLog) -> Path:
+    """Writes replay.npz, whole or not at all: one array for each field of `ReplayLog`, of its name, shape and unit.
+
+    Args:
+        folder: Where to; made if it is not there.
+        log: The replay.
+
+    Returns:
+        The file.
+    """
+    return write_arrays(Path(folder) / "replay.npz", log._asdict())
+
+
+def read_replay(folder: str | Path) -> ReplayLog:
+    """Reads what `write_replay` wrote.
+
+    Raises:
+        DataError: The file is missing, damaged, or lacks a field.
+    """
+    path = Path(folder) / "replay.npz"
+    try:
+        with np.load(path) as content:
+            return ReplayLog(**{name: torch.from_numpy(content[name]) for name in ReplayLog._fields})
+    except (OSError, EOFError, KeyError, ValueError, zipfile.BadZipFile) as error:
+        raise DataError(f"{path}: cannot be read as a replay ({error})") from error

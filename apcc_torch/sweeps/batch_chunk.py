@@ -1,0 +1,156 @@
+"""One chunk of a batch: runs side by side as rows of one tensor batch; their metrics in a file, whole or absent."""
+
+from __future__ import annotations
+
+import json
+import math
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from types import ModuleType
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from omegaconf import OmegaConf
+
+from apcc_torch.composition.batch import Point, stacked
+from apcc_torch.errors import ApccError
+from apcc_torch.experiments import dynamic, kinematic
+from apcc_torch.experiments.folder import RunFolder
+from apcc_torch.experiments.run import objective_value
+from apcc_torch.files import write_atomically, write_json
+from apcc_torch.simulation.progress import Progress
+
+KINDS: dict[str, ModuleType] = {"dynamic": dynamic, "kinematic": kinematic}
+"""Experiments whose runs can share a tensor batch."""
+
+Tell = Callable[[float], None]
+"""Told how many more points, in parts, are done."""
+
+
+class Task(NamedTuple):
+    """What a worker is given.
+
+    name: Of the chunk's file, without suffix.
+    points: Of one `configs.batch.structure`.
+    folder: Where the file goes.
+    objective: The metric that ranks points.
+    kept: How many of the best, and how many of the worst, leave a folder each.
+    """
+
+    name: str
+    points: Sequence[Point]
+    folder: Path
+    objective: str
+    kept: tuple[int, int]
+
+
+class Part(NamedTuple):
+    """What a chunk left: metrics of its points by their numbers, and why others failed."""
+
+    metrics: dict[int, dict[str, float]]
+    failed: dict[int, str]
+
+
+def rank(metrics: Mapping[int, Mapping[str, float]], objective: str) -> list[int]:
+    """The points from the best to the worst; one that diverged comes last.
+
+    Raises:
+        ConfigError: There is no such metric.
+    """
+    return sorted(metrics, key=lambda index: (objective_value(metrics[index], objective), index))
+
+
+def chosen(order: Sequence[int], kept: tuple[int, int]) -> list[int]:
+    """The first and the last of an order, each once."""
+    best, worst = kept
+    return list(dict.fromkeys([*order[:best], *order[max(0, len(order) - worst) :]]))
+
+
+def compute(task: Task, tell: Tell) -> None:
+    """Runs a chunk and writes its file; before it, the folders of its best and worst points."""
+    part = Part({}, {})
+    held: dict[int, Any] = {}
+    _compute(task, task.points, part, held, tell)
+    for index in chosen(rank(part.metrics, task.objective), task.kept):
+        point, outcome = held[index]
+        save(point, outcome, part.metrics[index], task.folder / "points" / str(index))
+    entry = {"metrics": part.metrics, "failed": part.failed}
+    write_json(task.folder / f"{task.name}.json", entry)
+
+
+def _compute(task: Task, points: Sequence[Point], part: Part, held: dict[int, Any], tell: Tell) -> None:
+    """Runs points side by side. Where one of them is refused, each half on its own: only that one is lost."""
+    started = time.perf_counter()
+    kind = KINDS[points[0].config.experiment.kind]
+    try:
+        outcome = kind.simulate(
+            stacked([point.config for point in points]), points=len(points), progress=_steps(len(points), tell)
+        )
+    except ApccError as error:
+        if len(points) == 1:
+            part.failed[points[0].number] = str(error)
+            tell(1.0)
+            return
+        half = len(points) // 2
+        _compute(task, points[:half], part, held, tell)
+        _compute(task, points[half:], part, held, tell)
+        return
+    for p, point in enumerate(points):
+        part.metrics[point.number] = kind.metrics(kind.one_of(outcome, point.config, p))
+    share = (time.perf_counter() - started) / len(points)
+    for point in points:
+        part.metrics[point.number]["wall_s"] = share
+    # Only these can be among the whole batch's best and worst; the others' logs are let go.
+    own = {point.number: part.metrics[point.number] for point in points}
+    positions = {point.number: p for p, point in enumerate(points)}
+    for index in chosen(rank(own, task.objective), task.kept):
+        p = positions[index]
+        held[index] = points[p], kind.one_of(outcome, points[p].config, p)
+
+
+def _steps(points: int, tell: Tell) -> Progress:
+    """Tells of the points as the steps of their simulation go by."""
+
+    def going(steps: Any) -> Any:
+        share, waiting = points / len(steps), 0
+        for step in steps:
+            yield step
+            waiting += 1
+            if waiting == 32:
+                tell(share * waiting)
+                waiting = 0
+        tell(share * waiting)
+
+    return going
+
+
+def save(point: Point, outcome: Any, metrics: Mapping[str, float], folder: Path) -> None:
+    """Writes a point's run folder, without figures."""
+    write_atomically(folder / "config.yaml", OmegaConf.to_yaml(OmegaConf.create(asdict(point.config))))
+    arrays = KINDS[point.config.experiment.kind].arrays(outcome)
+    RunFolder(folder).write(metrics, arrays, point.config.seed)
+
+
+def draw(config: Any, folder: Path) -> None:
+    """The figures of a run folder that `save` wrote."""
+    kind = KINDS[config.experiment.kind]
+    with np.load(folder / "trajectory.npz") as data:
+        tensors = {name: torch.from_numpy(data[name]) for name in data.files}
+    kind.draw(kind.loaded(config, tensors), folder / "figures")
+
+
+def read_part(path: Path) -> Part:
+    """A chunk's file."""
+    entry = json.loads(path.read_text(encoding="utf-8"))
+    return Part(
+        {int(index): metrics for index, metrics in entry["metrics"].items()},
+        {int(index): why for index, why in entry["failed"].items()},
+    )
+
+
+def is_finite(metrics: Mapping[str, float], objective: str) -> bool:
+    """Whether a point did not diverge."""
+    return math.isfinite(objective_value(metrics, objective))

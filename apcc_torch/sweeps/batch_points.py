@@ -1,0 +1,190 @@
+"""The points of a batch: hydra's own sweep overrides, each combination of them the settings of one point."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import re
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+from hydra import compose
+from hydra.core.global_hydra import GlobalHydra
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.core.override_parser.types import Override
+from hydra.errors import HydraException
+from omegaconf import DictConfig, ListConfig, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+
+from apcc_torch.composition.batch import Point
+from apcc_torch.composition.schema import SimulateConfig
+from apcc_torch.composition.typed import typed
+from apcc_torch.errors import ConfigError
+
+FLAG = "--batch"
+"""On the command line: the sweeps after it are rows of one tensor batch."""
+
+
+class Choice(NamedTuple):
+    """One value of a swept key.
+
+    override: As on a command line.
+    key: What is swept, a key or a group.
+    value: For `OmegaConf.update`; None of a group.
+    text: For a table.
+    plain: Whether it changes a key that is there already; else it takes part in the composition.
+    """
+
+    override: str
+    key: str
+    value: Any
+    text: str
+    plain: bool
+
+
+def with_batch(arguments: Sequence[str]) -> list[str]:
+    """A command line in which the sweeps after --batch have become the one override batch=[...].
+
+    Raises:
+        ConfigError: No sweep comes after it.
+    """
+    if FLAG not in arguments:
+        return list(arguments)
+    at = arguments.index(FLAG)
+    after = [argument for argument in arguments[at + 1 :] if argument != FLAG]
+    with _naming("batch"):
+        parser = OverridesParser.create()
+        given = [a for a in after if "=" in a and not a.startswith("-")]
+        swept = [a for a in given if parser.parse_override(a).is_sweep_override()]
+    if not swept:
+        raise ConfigError(f"{FLAG} needs a sweep after it, such as controller.gamma=10,20,40")
+    kept = [argument for argument in after if argument not in swept]
+    return [*arguments[:at], *kept, f"batch=[{','.join(map(_quoted, swept))}]"]
+
+
+def batch_points(cfg: DictConfig, overrides: Sequence[str], config_name: str) -> list[Point]:
+    """The points of `batch`, in the order in which a multirun of the same overrides would number its jobs.
+
+    Hydra must be initialised, as it is inside its main function.
+
+    Args:
+        cfg: What hydra composed.
+        overrides: The command line that it composed it from.
+        config_name: The root configuration.
+
+    Raises:
+        ConfigError: An override has no meaning, or a point's settings are missing or of the wrong type.
+    """
+    axes = [_choices(cfg, override) for override in _parsed(cfg.batch)]
+    if not axes:
+        raise ConfigError("batch must hold at least one sweep, such as controller.gamma=10,20,40")
+    ours = [override for override in overrides if override.partition("=")[0].lstrip("+") != "batch"]
+    bases: dict[tuple[str, ...], _Base] = {}
+    points = []
+    for index, chosen in enumerate(itertools.product(*axes)):
+        composed = tuple(choice.override for choice in chosen if not choice.plain)
+        with _naming(", ".join(choice.override for choice in chosen)):
+            if composed not in bases:
+                bases[composed] = _Base(compose(config_name, [*ours, *composed]) if composed else cfg)
+            config = bases[composed].changed([choice for choice in chosen if choice.plain])
+        points.append(Point(index, {choice.key: choice.text for choice in chosen}, config))
+    return points
+
+
+class _Base:
+    """A composed configuration, and copies of it in which keys are changed; each change is checked once."""
+
+    def __init__(self, cfg: DictConfig) -> None:
+        self.cfg = cfg
+        self.config = self._typed(cfg)
+        # Where values refer to others, a change may reach further than its own key.
+        self.linked = "${" in OmegaConf.to_yaml(OmegaConf.masked_copy(cfg, [str(key) for key in cfg if key != "hydra"]))
+        self.known: dict[str, Any] = {}
+
+    def changed(self, choices: Sequence[Choice]) -> SimulateConfig:
+        if self.linked or any(choice.key.count(".") > 1 for choice in choices):
+            return self._updated(choices)
+        config = self.config
+        for choice in choices:
+            if choice.override not in self.known:
+                self.known[choice.override] = _at(self._updated([choice]), choice.key)
+            config = _with(config, choice.key, self.known[choice.override])
+        return config
+
+    def _updated(self, choices: Sequence[Choice]) -> SimulateConfig:
+        cfg = self.cfg.copy()
+        for choice in choices:
+            OmegaConf.update(cfg, choice.key, choice.value, merge=True)
+        return self._typed(cfg)
+
+    @staticmethod
+    def _typed(cfg: DictConfig) -> SimulateConfig:
+        return replace(typed(cfg, SimulateConfig), batch=None)
+
+
+def _at(config: SimulateConfig, key: str) -> Any:
+    value: Any = config
+    for name in key.split("."):
+        value = getattr(value, name)
+    return value
+
+
+def _with(config: SimulateConfig, key: str, value: Any) -> SimulateConfig:
+    section, _, name = key.rpartition(".")
+    if not section:
+        return replace(config, **{name: value})
+    part = getattr(config, section)
+    return replace(config, **{section: replace(part, **{name: value})})
+
+
+def _parsed(batch: object) -> list[Override]:
+    """The overrides of `batch`: a list of them, or one text with blanks between them."""
+    if isinstance(batch, str):
+        # A blank inside brackets or quotes has no KEY= after it.
+        entries = re.split(r"\s+(?=[+~]{0,2}[\w./@:]+=)", batch.strip())
+    elif isinstance(batch, ListConfig) and all(isinstance(entry, str) for entry in batch):
+        entries = [str(entry) for entry in batch]
+    else:
+        raise ConfigError(f"batch must be sweeps as on a command line, in a list or in one text, got {batch!r}")
+    with _naming("batch"):
+        loader = GlobalHydra.instance().config_loader()
+        return OverridesParser.create(config_loader=loader).parse_overrides(entries)
+
+
+def _choices(cfg: DictConfig, override: Override) -> list[Choice]:
+    key = override.get_key_element()
+    if key.lstrip("+~").startswith("hydra"):
+        raise ConfigError(f"batch cannot sweep {key}: its points are computed in one process")
+    if not override.is_sweep_override():
+        texts: Iterable[str] = [override.get_value_element_as_str()]
+    elif override.is_discrete_sweep():
+        texts = override.sweep_string_iterator()
+    else:
+        raise ConfigError(f"batch needs values to go through, but {override.input_line} is an interval")
+    with _naming(str(override.input_line)):
+        parser = OverridesParser.create()
+        return [_choice(cfg, parser.parse_override(f"{key}={text}")) for text in texts]
+
+
+def _choice(cfg: DictConfig, override: Override) -> Choice:
+    key = override.get_key_element()
+    loader = GlobalHydra.instance().config_loader()
+    plain = re.fullmatch(r"[\w.]+", key) is not None and not loader.get_group_options(key)
+    line, name = str(override.input_line), key.lstrip("+~")
+    value = override.value()
+    return Choice(line, name, value, value if isinstance(value, str) else json.dumps(value), plain)
+
+
+def _quoted(text: str) -> str:
+    return '"' + re.sub(r'(\\*)("|$)', lambda m: m[1] * 2 + ('\\"' if m[2] else ""), text) + '"'
+
+
+@contextmanager
+def _naming(what: str) -> Iterator[None]:
+    """Errors of hydra and OmegaConf as ours, with what they are about."""
+    try:
+        yield
+    except (HydraException, OmegaConfBaseException) as error:
+        raise ConfigError(f"{what}: {str(error).splitlines()[0]}") from error

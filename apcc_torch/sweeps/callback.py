@@ -1,0 +1,221 @@
+"""A sweep from hydra's side: a callback that prepares its folder, draws its bars, and tells how it ended."""
+
+from __future__ import annotations
+
+import logging
+import math
+import os
+import sys
+import warnings
+from collections.abc import Iterable
+from dataclasses import dataclass
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any, ClassVar
+
+from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.experimental.callback import Callback
+from omegaconf import DictConfig, OmegaConf, open_dict, read_write
+
+from apcc_torch.composition.conf_path import conf_path
+from apcc_torch.errors import ApccError, ConfigError
+from apcc_torch.experiments.run import PRUNED, objective_in
+from apcc_torch.sweeps.bars import SweepBars
+from apcc_torch.sweeps.sweep_folder import JOB, NOT_THE_RUN, SweepFolder, read_record
+
+log = logging.getLogger("apcc_torch.simulate")
+
+# Meant: our launchers' values, checked against their plugins' types.
+warnings.filterwarnings("ignore", message=r"\s*'hydra/launcher/\w+' is validated against ConfigStore schema")
+
+EXTRAS = {
+    "hydra_joblib_launcher": "sweep",
+    "hydra_optuna_sweeper": "sweep",
+    "hydra_submitit_launcher": "cluster",
+    "hydra_ray_launcher": "ray",
+}
+"""Plugin of hydra -> the extra of this package that installs it."""
+JOBLIB = "hydra_plugins.hydra_joblib_launcher"
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What a sweep will run.
+
+    total: Number of jobs.
+    keys: What it sweeps.
+    jobs: The overrides of each; None where they are found on the way.
+    """
+
+    total: int
+    keys: frozenset[str]
+    jobs: list[list[str]] | None
+
+    def brief(self, overrides: Iterable[str]) -> str:
+        """A job's overrides without what all jobs share."""
+        own = [override for override in overrides if override.partition("=")[0].lstrip("+~") in self.keys]
+        return " ".join(own) or "(nothing swept)"
+
+
+def planned(config: DictConfig) -> Plan:
+    """The jobs that hydra's sweeper will make of the command line and the chosen sweep."""
+    sweeper = config.hydra.sweeper
+    params = [f"{key}={value}" for key, value in (sweeper.get("params") or {}).items()]
+    overrides = OverridesParser.create().parse_overrides([*params, *config.hydra.overrides.task])
+    last = {o.get_key_element().lstrip("+~"): o for o in overrides}
+    keys = frozenset(key for key, override in last.items() if override.is_sweep_override())
+    trials = sweeper.get("n_trials")
+    if trials is not None:
+        return Plan(int(trials), keys, None)
+    jobs = [job for batch in BasicSweeper.split_arguments(overrides, None) for job in batch]
+    return Plan(len(jobs), keys, jobs)
+
+
+def check_installed(target: str) -> None:
+    """Refuses a launcher or sweeper that is not installed.
+
+    Args:
+        target: Its class, by its full name.
+
+    Raises:
+        ConfigError: With the command that installs it, where it is one of the package's extras.
+    """
+    top, _, rest = target.partition(".")
+    if top != "hydra_plugins":
+        return  # hydra's own
+    plugin = rest.partition(".")[0]
+    if not installed(f"{top}.{plugin}"):
+        extra = EXTRAS.get(plugin)
+        advice = f"; pip install 'apcc-torch[{extra}]' brings it" if extra else ""
+        raise ConfigError(f"{top}.{plugin} is not installed{advice}")
+
+
+def side_by_side(config: DictConfig) -> None:
+    """Takes joblib instead of the basic launcher where it is installed, no launcher was asked for and jobs is not 1."""
+    asked = any(override.startswith("hydra/launcher=") for override in config.hydra.overrides.hydra)
+    basic = str(config.hydra.launcher._target_).endswith(".BasicLauncher")
+    if basic and not asked and config.jobs != 1 and installed(JOBLIB):
+        with read_write(config), open_dict(config):
+            config.hydra.launcher = OmegaConf.load(Path(conf_path()) / "hydra" / "launcher" / "joblib.yaml")
+
+
+def installed(plugin: str) -> bool:
+    """Whether there is a plugin of hydra's of this full name."""
+    # Without any plugin there is no package hydra_plugins, of which find_spec could name a part.
+    return find_spec(plugin.partition(".")[0]) is not None and find_spec(plugin) is not None
+
+
+def make_absolute(config: DictConfig) -> Path:
+    """Makes the sweep's folder absolute, for workers that start elsewhere, and returns it."""
+    path = Path(os.path.abspath(str(config.hydra.sweep.dir)))
+    with read_write(config), open_dict(config):
+        config.hydra.sweep.dir = str(path)
+        # Each job is composed anew from the command line.
+        kept = [o for o in config.hydra.overrides.hydra if not o.startswith("hydra.sweep.dir=")]
+        quoted = str(path).replace("\\", "\\\\").replace("'", "\\'")
+        config.hydra.overrides.hydra = [*kept, f"hydra.sweep.dir='{quoted}'"]
+    return path
+
+
+def prepare(folder: SweepFolder, config: DictConfig) -> None:
+    """Makes a folder ready for a sweep to begin, or to go on.
+
+    Raises:
+        ConfigError: There is nothing to resume, or there is and the sweep was not asked to resume.
+    """
+    there = any(folder.finished())
+    if there and not config.resume:
+        raise ConfigError(f"{folder.path} holds finished jobs; resume=true runs only what is missing")
+    if config.resume and not folder.path.is_dir():
+        raise ConfigError(
+            f"resume=true needs hydra.sweep.dir=FOLDER of the sweep to resume; {folder.path} is not there"
+        )
+    folder.clear()
+
+
+@dataclass
+class OpenSweep:
+    """A sweep that runs.
+
+    folder: Its folder.
+    plan: What it will run.
+    objective: The metric that a search lowers.
+    bars: Its bars.
+    ended: Whether hydra went through it to the end.
+    """
+
+    folder: SweepFolder
+    plan: Plan
+    objective: str | None
+    bars: SweepBars
+    ended: bool = False
+
+    def close(self) -> int:
+        """Names the jobs that failed, were pruned or never ran, and the best one; returns the exit code."""
+        self.bars.stop()
+        finished = sorted(self.folder.finished(), key=lambda folder: (len(folder.name), folder.name))
+        overrides = {folder: [str(o) for o in read_record(folder / JOB)["overrides"]] for folder in finished}
+        brief = {folder: self.plan.brief(overrides[folder]) for folder in finished}
+        failures = self.folder.failures()
+        for folder in finished:
+            if (folder / PRUNED).is_file():
+                log.info("pruned: %s, %s: %s", folder.name, brief[folder], read_record(folder / PRUNED)["why"])
+        for failure in failures:
+            log.error("failed: %s, %s: %s", failure.folder.name, self.plan.brief(failure.overrides), failure.why)
+        known = {job_key(o) for o in [*overrides.values(), *(failure.overrides for failure in failures)]}
+        missing = [job for job in self.plan.jobs or () if job_key(job) not in known]
+        for job in missing:
+            log.error("not finished: %s", self.plan.brief(job))
+        if self.objective is not None and finished:
+            values = {folder: objective_in(folder, self.objective) or 0.0 for folder in finished}
+            best = min(finished, key=lambda folder: values[folder])
+            if math.isfinite(values[best]):
+                log.info("best %s: %.6g, in %s, %s", self.objective, values[best], best.name, brief[best])
+        log.info("%d finished jobs in %s", len(finished), self.folder.path)
+        if self.ended and not failures and not missing:
+            return 0
+        log.info("to run only what is missing: the same command with resume=true hydra.sweep.dir=%s", self.folder.path)
+        return 1
+
+
+class Sweep(Callback):
+    """Hydra's view of a sweep. Launchers copy callbacks into their workers, so what runs here is the class's."""
+
+    current: ClassVar[OpenSweep | None] = None
+
+    def on_multirun_start(self, config: DictConfig, **_: Any) -> None:
+        """Checks what can be checked, clears the folder, starts the bars."""
+        try:
+            side_by_side(config)
+            for plugin in (config.hydra.launcher, config.hydra.sweeper):
+                check_installed(str(plugin._target_))
+            folder = SweepFolder(make_absolute(config))
+            prepare(folder, config)
+        except ApccError as error:
+            log.error("%s", error)
+            sys.exit(2)
+        plan = planned(config)
+        before = sum(1 for _ in folder.finished())
+        launcher = str(config.hydra.launcher._target_).rpartition(".")[2]
+        there = f", which holds {before}" if before else ""
+        log.info("%d jobs by %s into %s%s", plan.total, launcher, folder.path, there)
+        Sweep.current = OpenSweep(folder, plan, config.objective, SweepBars(folder, plan.total))
+        if config.progress:
+            Sweep.current.bars.start()
+
+    def on_multirun_end(self, config: DictConfig, **_: Any) -> None:
+        """Notes that the sweep did not break off."""
+        if Sweep.current is not None:
+            Sweep.current.ended = True
+
+    @staticmethod
+    def close() -> int:
+        """Ends the sweep, if there was one; returns the exit code that it asks for."""
+        sweep, Sweep.current = Sweep.current, None
+        return 0 if sweep is None else sweep.close()
+
+
+def job_key(overrides: Iterable[str]) -> frozenset[str]:
+    """What tells jobs of one sweep apart, in whatever order it was given."""
+    return frozenset(override for override in overrides if override.partition("=")[0] not in NOT_THE_RUN)
