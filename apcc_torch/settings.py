@@ -1,85 +1,314 @@
-"""Settings of a module: each a number, or a tensor with a number for every row of a batch."""
+"""Settings: what a part can be set to, told once, in one frozen dataclass beside the part.
+
+A field holds its default, and with it its unit, where it comes from, what it means, its range, and whether it may
+differ from row to row of a batch. Whatever else needs these reads them here: the command line's keys and `--help`, the
+axis of a batch, `repr`, `state_dict` and the tables of the documentation.
+"""
 
 from __future__ import annotations
 
-from typing import TypeVar
+import dataclasses
+import difflib
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import MISSING, dataclass, field, fields
+from typing import Any, NamedTuple, Self, TypeVar
 
-from torch import Tensor, nn
+import torch
+from torch import Tensor
 
-from apcc_torch.errors import ValueRangeError
+from apcc_torch.errors import ConfigError, ValueRangeError
 
 Setting = float | Tensor
 """A number for all rows, or (...) numbers that broadcast with the leading dimensions of what they are used on."""
 
-Given = TypeVar("Given", float, Tensor, Setting)
+Numbers = float | Sequence[float] | Mapping[str, Sequence[float]] | Tensor
+"""A number for all entries, one an entry, `{"along": [...]}`, see `spread`, or a tensor (..., n)."""
+
+PAPER, OURS = "paper", "ours"
+"""Where a default comes from: the paper, or a choice that the paper leaves open."""
+
+Value = TypeVar("Value")
 
 
-def check_setting(name: str, value: Given, zero: bool = False) -> Given:
-    """Returns `value` if it, or every number in it, is finite and positive.
+class About(NamedTuple):
+    """What is known of a setting beside its default.
 
-    This reads values, so it belongs at construction.
+    unit: SI, "" for none. source: `PAPER` or `OURS`. meaning: One line, no full stop.
+    rows: How it may differ from row to row: "" not at all; "number"; "gain", a matrix for the tip ("task") or the
+        sections; "sections", one a section; "points" and "lists", lists of lists.
+    apart: Whether zero is no number like others, so that rows with and without it share no batch.
+    above, least, below, most: Range of every number in it, open and closed at the lower and at the upper end.
+    choices: What a text may be; () for any.
+    base: The class that a part named by `kind` has to be of; None where no part is named.
+    """
 
-    Args:
-        name: The argument's name, as the caller wrote it.
-        value: The setting.
-        zero: Whether zero is allowed too.
+    unit: str = ""
+    source: str = OURS
+    meaning: str = ""
+    rows: str = ""
+    apart: bool = False
+    above: float | None = None
+    least: float | None = None
+    below: float | None = None
+    most: float | None = None
+    choices: tuple[str, ...] = ()
+    base: type | None = None
+
+    def check(self, key: str, value: Any) -> None:
+        """Raises ValueRangeError where a number, or one of those in lists and tensors, is out of range."""
+        if self.choices:
+            check_choice(key, value, self.choices)
+        if self.above is self.least is self.below is self.most is None:
+            return
+        for number in numbers_in(value):
+            inside = (
+                (self.above is None or number > self.above)
+                and (self.least is None or number >= self.least)
+                and (self.below is None or number < self.below)
+                and (self.most is None or number <= self.most)
+            )
+            if not inside or not math.isfinite(number):
+                raise ValueRangeError(f"{key} must be {self.range}, got {number}")
+
+    @property
+    def range(self) -> str:
+        """The range in words."""
+        if self.below is self.most is None:
+            low = self.least if self.above is None else self.above
+            if low == 0:
+                return f"{'' if self.above == 0 else 'zero or '}positive and finite"
+            return f"{'at least' if self.above is None else 'above'} {low:g} and finite"
+        if self.above is self.least is None:
+            return f"at most {self.most:g}" if self.below is None else f"below {self.below:g}"
+        begin = f"({self.above:g}" if self.least is None else f"[{self.least:g}"
+        return f"in {begin}, " + (f"{self.most:g}]" if self.below is None else f"{self.below:g})")
+
+
+def setting(
+    default: Any = MISSING,
+    unit: str = "",
+    source: str = OURS,
+    meaning: str = "",
+    *,
+    factory: Any = MISSING,
+    **about: Any,
+) -> Any:
+    """A field of a `Settings` class; `about` as `About`. Without a default or factory it has to be given."""
+    metadata = {"about": About(unit, source, meaning, **about)}
+    if factory is not MISSING:
+        return field(default_factory=factory, metadata=metadata)
+    return field(default=default, metadata=metadata)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Settings:
+    """Base of all settings: every number is checked against its range when they are made.
+
+    Raises:
+        ConfigError: A value is of the wrong type, or none of a field's choices.
+        ValueRangeError: A number is out of its range.
+    """
+
+    def __post_init__(self) -> None:
+        for each in fields(self):
+            value = getattr(self, each.name)
+            if value is None and "None" in str(each.type):
+                continue
+            if isinstance(value, list):
+                value = tuple(value)
+                object.__setattr__(self, each.name, value)
+            check_type(each.name, value, str(each.type))
+            about_of(each).check(each.name, value)
+        self.check()
+
+    def check(self) -> None:
+        """What one field alone does not show; raises ConfigError or ValueRangeError."""
+
+    def changed(self, **changes: Any) -> Self:
+        """A copy with changes; raises ConfigError where a name is unknown."""
+        check_names(type(self).__name__.removesuffix("Settings"), changes, names(type(self)))
+        return dataclasses.replace(self, **changes)
+
+
+Kind = TypeVar("Kind", bound=Settings)
+
+
+def about_of(each: dataclasses.Field[Any]) -> About:
+    """What a field's metadata tells; nothing where it has none."""
+    return each.metadata.get("about") or About()
+
+
+def names(kind: type[Any]) -> tuple[str, ...]:
+    """The fields of a dataclass."""
+    return tuple(each.name for each in fields(kind))
+
+
+def default_of(each: dataclasses.Field[Any]) -> Any:
+    """A field's default; MISSING where it has none."""
+    return each.default if each.default_factory is MISSING else each.default_factory()
+
+
+def told(settings: Settings, everything: bool = False) -> list[str]:
+    """Settings as "name=value": those that differ from their defaults, or everything."""
+    words = []
+    for each in fields(settings):
+        value, default = getattr(settings, each.name), default_of(each)
+        if everything or isinstance(value, Tensor) or (value is not default and value != default):
+            shown = f"tensor{tuple(value.shape)}" if isinstance(value, Tensor) else repr(value)
+            words.append(f"{each.name}={shown}")
+    return words
+
+
+def resolved(kind: type[Kind], given: Sequence[Any], changes: Mapping[str, Any]) -> Kind:
+    """Settings as a constructor takes them: settings of that kind, or its values in order, and changes by name.
+
+    Settings of a class derived from `kind` serve as well; what they have beyond it is left out.
+
+    Raises:
+        ConfigError: There are too many values, or a name is unknown.
+    """
+    told_names, owner = names(kind), kind.__name__.removesuffix("Settings")
+    check_names(owner, changes, told_names)
+    if len(given) == 1 and isinstance(given[0], kind):
+        return kind(**{name: getattr(given[0], name) for name in told_names} | dict(changes))
+    if len(given) == 1 and isinstance(given[0], Settings):
+        raise ConfigError(f"{owner} takes {kind.__name__}, got {type(given[0]).__name__}")
+    if len(given) > len(told_names):
+        raise ConfigError(f"{owner} takes at most {len(told_names)} settings, got {len(given)}")
+    by_position = dict(zip(told_names, given, strict=False))
+    twice = by_position.keys() & changes.keys()
+    if twice:
+        raise ConfigError(f"{owner}: {', '.join(sorted(twice))} is given twice")
+    missing = [e.name for e in fields(kind) if default_of(e) is MISSING and e.name not in {*by_position, *changes}]
+    if missing:
+        raise ConfigError(f"{owner}: {', '.join(missing)} must be given")
+    return kind(**by_position, **changes)
+
+
+def check_names(owner: str, given: Iterable[str], known: Sequence[str]) -> None:
+    """Raises ConfigError where a name is unknown, with the one that it may stand for."""
+    for name in given:
+        if name not in known:
+            raise ConfigError(f"{owner} has no setting {name!r}{did_you_mean(name, known)}")
+
+
+def did_you_mean(name: str, known: Iterable[str]) -> str:
+    """ "; did you mean gamma?", or what there is where nothing is close."""
+    known = list(known)
+    close = difflib.get_close_matches(name, known, n=1, cutoff=0.6)
+    if close:
+        return f"; did you mean {close[0]}?"
+    return f"; it has {', '.join(known)}" if known else "; it has none"
+
+
+def check_choice(key: str, value: Any, options: Sequence[str]) -> str:
+    """`value` if it is one of `options`.
+
+    Raises:
+        ConfigError: "mode must be one of position, pose, got 'both'".
+    """
+    if not isinstance(value, str) or value not in options:
+        raise ConfigError(f"{key} must be one of {', '.join(options)}, got {value!r}")
+    return value
+
+
+_PLAIN: dict[str, tuple[type, ...]] = {"bool": (bool,), "int": (int,), "str": (str,), "float": (int, float)}
+_WORDS = {"bool": "true or false", "int": "a whole number", "str": "a text", "float": "a number"}
+
+
+def check_type(key: str, value: Any, annotation: str) -> None:
+    """Raises ConfigError where a value is of none of the types of its annotation, if those are plain ones."""
+    allowed = {"float" if part == "Setting" else part for part in annotation.replace(" ", "").split("|")}
+    plain = allowed - {"None", "Tensor"}
+    if not plain or not plain <= _PLAIN.keys():
+        return
+    tensors = "Tensor" in allowed or "Setting" in annotation
+    if isinstance(value, Tensor):
+        good = tensors
+    elif isinstance(value, bool):
+        good = "bool" in plain
+    else:
+        good = any(isinstance(value, _PLAIN[name]) for name in plain)
+    if not good:
+        raise ConfigError(f"{key} must be {' or '.join(_WORDS[name] for name in sorted(plain))}, got {value!r}")
+
+
+def numbers_in(value: Any) -> Iterable[float]:
+    """Every number in a number, a tensor, or lists and mappings of them; this reads values."""
+    if isinstance(value, Tensor):
+        yield from value.detach().flatten().tolist()
+    elif isinstance(value, Mapping):
+        for entry in value.values():
+            yield from numbers_in(entry)
+    elif isinstance(value, Sequence) and not isinstance(value, str):
+        for entry in value:
+            yield from numbers_in(entry)
+    elif isinstance(value, int | float) and not isinstance(value, bool):
+        yield value
+
+
+def check_setting(name: str, value: Value, zero: bool = False) -> Value:
+    """Returns `value` if it, or every number in it, is finite and positive, or with `zero` zero; reads values.
 
     Raises:
         ValueRangeError: "damping must be positive and finite, got -1.0".
     """
-    for number in value.detach().flatten().tolist() if isinstance(value, Tensor) else (value,):
-        if not (number >= 0 if zero else number > 0) or number == float("inf"):
-            raise ValueRangeError(f"{name} must be {'zero or ' if zero else ''}positive and finite, got {number}")
+    (About(least=0.0) if zero else About(above=0.0)).check(name, value)
     return value
 
 
-def check_settings(**settings: Setting | None) -> None:
-    """`check_setting` of each, by its name; None, of a setting that may be left out, passes."""
-    for name, value in settings.items():
-        if value is not None:
-            check_setting(name, value)
-
-
-def check_settings_or_zero(**settings: Setting) -> None:
-    """`check_setting` of each, by its name; zero passes."""
-    for name, value in settings.items():
-        check_setting(name, value, zero=True)
-
-
-def hold(module: nn.Module, **settings: Setting | None) -> None:
-    """Makes settings attributes of a module; tensors become buffers, so that they move with it."""
-    for name, value in settings.items():
-        if isinstance(value, Tensor):
-            hold_rows(module, **{name: (value, 0)})
-        else:
-            setattr(module, name, value)
-
-
-def hold_rows(module: nn.Module, **tensors: tuple[Tensor | None, int]) -> None:
-    """Makes tensors buffers of a module that may differ from row to row: name = (tensor, its trailing dimensions)."""
-    # Beside the buffers: which of them may have leading dimensions, with the number of the others.
-    trailing = module.__dict__.setdefault("trailing_dimensions", {})
-    for name, (value, dimensions) in tensors.items():
-        module.register_buffer(name, value)
-        trailing[name] = dimensions
-
-
-def row_tensors(module: nn.Module) -> dict[str, tuple[Tensor, int]]:
-    """Of a module and all it holds, the buffers that differ by row: dotted name, tensor, trailing dimensions."""
-    found = {}
-    for prefix, part in module.named_modules():
-        for name, trailing in part.__dict__.get("trailing_dimensions", {}).items():
-            tensor = getattr(part, name)
-            if tensor is not None and tensor.dim() > trailing:
-                found[f"{prefix}.{name}" if prefix else name] = (tensor, trailing)
-    return found
-
-
-def aligned(value: Given, extra: int) -> Given:
+def aligned(value: Value, extra: int) -> Value:
     """The setting for use on tensors with `extra` dimensions behind the batch's: (...) becomes (..., 1, ...)."""
-    return value[(..., *(None,) * extra)] if isinstance(value, Tensor) else value
+    return value[(..., *(None,) * extra)] if isinstance(value, Tensor) else value  # type: ignore[return-value]
 
 
 def is_used(value: Setting) -> bool:
     """Whether a setting that zero turns off is on for any row; reads values, so for construction only."""
     return bool((value > 0).any()) if isinstance(value, Tensor) else value > 0
+
+
+def spread(name: str, value: Numbers, n: int) -> Tensor:
+    """One number an entry, (..., n), float64 unless a tensor says otherwise.
+
+    Args:
+        name: The setting's name, for messages.
+        value: A number for all; n numbers; a tensor (..., n); or `{"along": [...]}`, numbers from the base to the tip
+            that are read off at each entry's place, whatever their count: a profile serves arms of any n.
+        n: Number of entries.
+
+    Raises:
+        ConfigError: It is none of these.
+    """
+    if isinstance(value, Tensor):
+        if value.dim() and value.shape[-1] != n:
+            raise ConfigError(f"{name} must have {n} entries, got {value.shape[-1]}")
+        return value if value.dim() else value.expand(n)
+    if isinstance(value, Mapping):
+        if set(value) != {"along"} or isinstance(value["along"], str) or not len(value["along"]):
+            raise ConfigError(f"{name} must be a number, {n} numbers or {{along: [...]}}, got {dict(value)!r}")
+        points = _vector(name, value["along"], n)
+        return points if len(points) == n else _resampled(points, n)
+    if isinstance(value, int | float) and not isinstance(value, bool):
+        return torch.full((n,), float(value), dtype=torch.float64)
+    numbers = _vector(name, value, n)
+    if len(numbers) != n:
+        raise ConfigError(f"{name} must have {n} entries, got {len(numbers)}")
+    return numbers
+
+
+def _vector(name: str, value: Any, n: int) -> Tensor:
+    try:
+        if isinstance(value, str | bool) or any(isinstance(entry, str | bool) for entry in value):
+            raise TypeError
+        return torch.tensor([float(entry) for entry in value], dtype=torch.float64)
+    except (TypeError, ValueError) as error:
+        raise ConfigError(f"{name} must be a number or a list of {n} numbers, got {value!r}") from error
+
+
+def _resampled(points: Tensor, n: int) -> Tensor:
+    """A profile (m,) at the middles of n equal shares of the arm, between the middles of m, constant beyond them."""
+    m = len(points)
+    at = ((torch.arange(n, dtype=points.dtype) + 0.5) * (m / n) - 0.5).clamp(0.0, m - 1.0)
+    low = at.floor().to(torch.int64).clamp(max=max(m - 2, 0))
+    return torch.lerp(points[low], points[(low + 1).clamp(max=m - 1)], at - low)

@@ -22,7 +22,8 @@ from apcc_torch.model.loads import Loads
 from apcc_torch.model.static_body import StaticBody
 from apcc_torch.model.statics import equilibrium
 from apcc_torch.model.stiffness import scaled_stiffness
-from apcc_torch.settings import Setting, hold_rows
+from apcc_torch.part import hold_rows
+from apcc_torch.settings import Setting
 from apcc_torch.simulation.dynamic import DynamicLog
 
 D = torch.float64

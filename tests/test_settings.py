@@ -24,7 +24,8 @@ from apcc_torch.estimation.state_feedback import StateFeedback
 from apcc_torch.lie import se3
 from apcc_torch.model.abscissae import decouple
 from apcc_torch.model.backbone import PCCBackbone
-from apcc_torch.settings import aligned, check_setting, hold, is_used
+from apcc_torch.part import hold
+from apcc_torch.settings import aligned, check_setting, is_used
 from apcc_torch.simulation.sensors import PoseSensors
 from arms import HANGING_BASE, PI
 

@@ -8,7 +8,8 @@ from torch import Tensor, nn
 from apcc_torch.control.bounds import scaled_within
 from apcc_torch.control.gain import gain_matrix
 from apcc_torch.errors import ValueRangeError
-from apcc_torch.settings import Setting, aligned, check_settings, check_settings_or_zero, hold, hold_rows, is_used
+from apcc_torch.part import check_settings, check_settings_or_zero, hold, hold_rows
+from apcc_torch.settings import Setting, aligned, is_used
 from apcc_torch.shapes import check_finite, check_same, check_tensor
 
 REGRESSORS = ("partial", "estimator_aware", "none")

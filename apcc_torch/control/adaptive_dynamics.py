@@ -29,7 +29,7 @@ from torch import Tensor, nn
 from apcc_torch.errors import ValueRangeError
 from apcc_torch.linalg import solve_spd
 from apcc_torch.model.dynamics_regressor import PARAMETERS
-from apcc_torch.settings import check_settings, check_settings_or_zero, hold_rows
+from apcc_torch.part import check_settings, check_settings_or_zero, hold_rows
 from apcc_torch.shapes import check_finite, check_same, check_tensor
 
 

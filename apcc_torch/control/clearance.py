@@ -20,7 +20,8 @@ from apcc_torch.control.obstacles import Obstacle, length_and_direction
 from apcc_torch.control.tasks import JointedModel
 from apcc_torch.errors import ValueRangeError
 from apcc_torch.model.abscissae import decouple
-from apcc_torch.settings import Setting, aligned, check_setting, hold
+from apcc_torch.part import hold
+from apcc_torch.settings import Setting, aligned, check_setting
 
 
 class Clearance(NamedTuple):

@@ -21,7 +21,7 @@ from apcc_torch.linalg import damped_pseudo_inverse
 from apcc_torch.model.dynamics_regressor import DynamicsRegressor
 from apcc_torch.model.kinematic_model import KinematicModel
 from apcc_torch.model.tendons import TendonRouting
-from apcc_torch.settings import check_settings, check_settings_or_zero
+from apcc_torch.part import check_settings, check_settings_or_zero
 from apcc_torch.shapes import check_tensor
 
 

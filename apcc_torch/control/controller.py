@@ -19,7 +19,8 @@ from apcc_torch.estimation.savitzky_golay import SavitzkyGolay
 from apcc_torch.estimation.state_feedback import StateFeedback
 from apcc_torch.model.kinematic_model import KinematicModel, Placed
 from apcc_torch.model.tendons import TendonRouting
-from apcc_torch.settings import Setting, check_setting, check_settings, hold
+from apcc_torch.part import check_settings, hold
+from apcc_torch.settings import Setting, check_setting
 from apcc_torch.shapes import batch_shape, check_same, check_tensor
 
 VELOCITIES = ("measured", "commanded")

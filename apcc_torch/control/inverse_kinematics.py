@@ -8,7 +8,8 @@ from torch import Tensor, nn
 from apcc_torch.control.gain import gain_matrix
 from apcc_torch.linalg import damped_pseudo_inverse
 from apcc_torch.model.coordinates import CONSTANT_CURVATURE, Coordinates
-from apcc_torch.settings import Setting, aligned, check_setting, check_settings, check_settings_or_zero, hold, hold_rows
+from apcc_torch.part import check_settings, check_settings_or_zero, hold, hold_rows
+from apcc_torch.settings import Setting, aligned, check_setting
 from apcc_torch.shapes import check_finite, check_same, check_tensor
 
 

@@ -6,7 +6,8 @@ import torch
 from torch import Tensor, nn
 
 from apcc_torch.errors import ValueRangeError
-from apcc_torch.settings import Setting, aligned, check_setting, hold, hold_rows
+from apcc_torch.part import hold, hold_rows
+from apcc_torch.settings import Setting, aligned, check_setting
 from apcc_torch.shapes import check_finite, check_tensor
 
 

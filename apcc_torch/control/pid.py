@@ -8,7 +8,8 @@ import torch
 from torch import Tensor, nn
 
 from apcc_torch.control.bounds import within
-from apcc_torch.settings import Setting, aligned, check_settings, check_settings_or_zero, hold
+from apcc_torch.part import check_settings, check_settings_or_zero, hold
+from apcc_torch.settings import Setting, aligned
 from apcc_torch.shapes import check_same, check_tensor
 
 

@@ -27,7 +27,8 @@ from apcc_torch.lie import se3
 from apcc_torch.linalg import solve_spd
 from apcc_torch.model.abscissae import located
 from apcc_torch.model.kinematic_model import KinematicModel
-from apcc_torch.settings import Setting, aligned, check_settings, check_settings_or_zero, hold, hold_rows, is_used
+from apcc_torch.part import check_settings, check_settings_or_zero, hold, hold_rows
+from apcc_torch.settings import Setting, aligned, is_used
 from apcc_torch.shapes import check_finite, check_tensor
 
 TARGETS = ("curve", "sensors")

@@ -5,7 +5,8 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
-from apcc_torch.settings import Setting, aligned, check_setting, hold
+from apcc_torch.part import hold
+from apcc_torch.settings import Setting, aligned, check_setting
 
 
 class TaskIntegral(nn.Module):

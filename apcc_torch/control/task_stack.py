@@ -22,7 +22,8 @@ from apcc_torch.control.tasks import JointedModel, Task, TaskRate, TaskTarget, w
 from apcc_torch.errors import ShapeError, ValueRangeError
 from apcc_torch.linalg import damped_pseudo_inverse
 from apcc_torch.model.abscissae import decouple
-from apcc_torch.settings import Setting, aligned, check_setting, hold, hold_rows
+from apcc_torch.part import hold, hold_rows
+from apcc_torch.settings import Setting, aligned, check_setting
 from apcc_torch.shapes import check_positive, check_tensor
 
 

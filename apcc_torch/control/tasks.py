@@ -24,7 +24,8 @@ from torch import Tensor, nn
 from apcc_torch.control.gain import gain_matrix
 from apcc_torch.errors import ValueRangeError
 from apcc_torch.lie import so3
-from apcc_torch.settings import Setting, check_setting, hold, hold_rows
+from apcc_torch.part import hold, hold_rows
+from apcc_torch.settings import Setting, check_setting
 
 ROWS = {"position": 3, "orientation": 3, "direction": 2, "pose": 6}
 """Rows of every kind of task."""

@@ -21,7 +21,8 @@ from torch import Tensor, nn
 
 from apcc_torch.control.tasks import TaskRate, weighted_rows
 from apcc_torch.errors import ConfigError, ValueRangeError
-from apcc_torch.settings import Setting, aligned, check_setting, hold, hold_rows
+from apcc_torch.part import hold, hold_rows
+from apcc_torch.settings import Setting, aligned, check_setting
 from apcc_torch.shapes import batch_shape, check_tensor
 
 try:

@@ -26,7 +26,7 @@ from apcc_torch.envs.streams import Stream
 from apcc_torch.envs.tasks import DISTANCE, POSITION, SPEED, TASKS, Goal, Task
 from apcc_torch.errors import ConfigError
 from apcc_torch.model.backbone import PCCBackbone
-from apcc_torch.settings import check_settings
+from apcc_torch.part import check_settings
 
 DYNAMICS = ("kinematic", "dynamic")
 TENDON = 0.5

@@ -19,7 +19,8 @@ from apcc_torch.estimation.state_feedback import StateFeedback
 from apcc_torch.estimation.weighted_estimate import WeightedEstimate, weighted_estimate
 from apcc_torch.model.static_body import StaticBody
 from apcc_torch.model.tendons import TendonRouting
-from apcc_torch.settings import Setting, aligned, check_setting, hold, hold_rows
+from apcc_torch.part import hold, hold_rows
+from apcc_torch.settings import Setting, aligned, check_setting
 from apcc_torch.shapes import batch_shape, check_tensor
 
 # Of a tendon whose tension nobody measures, N: so wide that it weighs nothing.

@@ -22,7 +22,8 @@ from apcc_torch.model.dynamics import SoftArmDynamics
 from apcc_torch.model.loads import Loads
 from apcc_torch.model.statics import Equilibrium, equilibrium, load_stiffness
 from apcc_torch.model.tendons import TendonRouting
-from apcc_torch.settings import Setting, aligned, check_setting, hold
+from apcc_torch.part import hold
+from apcc_torch.settings import Setting, aligned, check_setting
 from apcc_torch.shapes import batch_shape, check_finite, check_tensor
 
 UNKNOWNS = ("payload", "force")

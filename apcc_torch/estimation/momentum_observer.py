@@ -19,7 +19,8 @@ from apcc_torch.estimation.weighted_estimate import WeightedEstimate, weighted_e
 from apcc_torch.model.backbone import PCCBackbone
 from apcc_torch.model.dynamics import SoftArmDynamics
 from apcc_torch.model.tendons import TendonRouting
-from apcc_torch.settings import Setting, aligned, check_setting, hold
+from apcc_torch.part import hold
+from apcc_torch.settings import Setting, aligned, check_setting
 from apcc_torch.shapes import check_same, check_tensor
 
 

@@ -16,7 +16,8 @@ from apcc_torch.errors import ValueRangeError
 from apcc_torch.lie import se3, so3
 from apcc_torch.model.abscissae import MaterialPoints
 from apcc_torch.model.kinematic_model import KinematicModel
-from apcc_torch.settings import Setting, aligned, check_settings_or_zero, hold
+from apcc_torch.part import check_settings_or_zero, hold
+from apcc_torch.settings import Setting, aligned
 
 LONG_AGO = 1e9
 """s since the last reading of a sensor that was never read."""

@@ -12,7 +12,7 @@ from torch import Tensor, nn
 
 from apcc_torch.errors import ValueRangeError
 from apcc_torch.model.kinematic_model import Placed
-from apcc_torch.settings import hold_rows
+from apcc_torch.part import hold_rows
 from apcc_torch.shapes import check_finite, check_same, check_tensor
 
 TANGENTS = ("measured", "spline")

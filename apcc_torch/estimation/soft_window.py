@@ -7,7 +7,7 @@ from torch import Tensor
 
 from apcc_torch.errors import ValueRangeError
 from apcc_torch.estimation.savitzky_golay import SavitzkyGolay
-from apcc_torch.settings import hold_rows
+from apcc_torch.part import hold_rows
 from apcc_torch.shapes import check_positive, check_tensor
 
 

@@ -13,7 +13,8 @@ from apcc_torch.estimation.iteration import Rules, iterate
 from apcc_torch.estimation.step import Residual, damped_step, row_weights
 from apcc_torch.model.abscissae import MaterialPoints, located
 from apcc_torch.model.kinematic_model import KinematicModel, Placed
-from apcc_torch.settings import Setting, aligned, check_settings, hold, hold_rows
+from apcc_torch.part import check_settings, hold, hold_rows
+from apcc_torch.settings import Setting, aligned
 from apcc_torch.shapes import batch_shape, check_finite, check_same, check_tensor
 
 MODES = ("position", "pose", "hierarchical")

@@ -26,7 +26,7 @@ from apcc_torch.model.inertia import (
 )
 from apcc_torch.model.loads import Loads, Payload, carried_wrench, distributed_load, front
 from apcc_torch.model.velocity_accelerations import accelerations, generalized_force, rates
-from apcc_torch.settings import hold_rows
+from apcc_torch.part import hold_rows
 from apcc_torch.shapes import batch_shape, check_finite, check_positive, check_same, check_tensor
 
 

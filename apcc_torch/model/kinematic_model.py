@@ -18,7 +18,7 @@ from apcc_torch.lie import se3
 from apcc_torch.model.abscissae import MaterialPoints, decouple, section_fractions
 from apcc_torch.model.coordinates import Coordinates
 from apcc_torch.model.tendons import TendonRouting
-from apcc_torch.settings import hold_rows
+from apcc_torch.part import hold_rows
 from apcc_torch.shapes import batch_shape, check_same, check_tensor
 
 

@@ -21,7 +21,7 @@ from apcc_torch.errors import ConfigError, DataError
 from apcc_torch.lie import se3, so3
 from apcc_torch.model.abscissae import decouple
 from apcc_torch.model.kinematic_model import KinematicModel
-from apcc_torch.settings import hold_rows
+from apcc_torch.part import hold_rows
 from apcc_torch.shapes import batch_shape, check_same, check_tensor
 
 

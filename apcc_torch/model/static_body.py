@@ -15,7 +15,8 @@ from apcc_torch.errors import ConfigError, ValueRangeError
 from apcc_torch.model.abscissae import MaterialPoints, decouple, located
 from apcc_torch.model.inertia import quadrature_nodes
 from apcc_torch.model.kinematic_model import KinematicModel
-from apcc_torch.settings import Setting, aligned, check_setting, check_settings, hold
+from apcc_torch.part import check_settings, hold
+from apcc_torch.settings import Setting, aligned, check_setting
 from apcc_torch.shapes import batch_shape, check_same, check_tensor
 
 

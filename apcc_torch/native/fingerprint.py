@@ -14,7 +14,7 @@ import torch
 from torch import Tensor, nn
 
 from apcc_torch.errors import CompileError
-from apcc_torch.settings import row_tensors
+from apcc_torch.part import row_tensors
 
 _PACKAGE = Path(__file__).resolve().parent.parent
 # Where the code of steps is; of a class from elsewhere its own file counts.

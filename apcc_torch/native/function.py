@@ -17,7 +17,7 @@ from apcc_torch.native.fingerprint import fingerprint
 from apcc_torch.native.source import program
 from apcc_torch.native.structure import any_double, described, flattened, rebuilt
 from apcc_torch.native.trace import Leaf, traced
-from apcc_torch.settings import row_tensors
+from apcc_torch.part import row_tensors
 
 log = logging.getLogger(__name__)
 

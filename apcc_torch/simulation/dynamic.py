@@ -21,7 +21,8 @@ from apcc_torch.errors import ConfigError
 from apcc_torch.model.abscissae import decouple
 from apcc_torch.model.integrators import ArmState
 from apcc_torch.native.compiled import compiled
-from apcc_torch.settings import check_setting, hold_rows
+from apcc_torch.part import hold_rows
+from apcc_torch.settings import check_setting
 from apcc_torch.simulation.plant import Plant, PlantState
 from apcc_torch.simulation.progress import Progress, quiet
 from apcc_torch.simulation.rollout import rollout

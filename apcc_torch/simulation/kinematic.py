@@ -16,7 +16,7 @@ from apcc_torch.linalg import damped_pseudo_inverse
 from apcc_torch.model.abscissae import decouple
 from apcc_torch.model.kinematic_model import KinematicModel
 from apcc_torch.native.compiled import compiled
-from apcc_torch.settings import hold_rows
+from apcc_torch.part import hold_rows
 from apcc_torch.simulation.progress import Progress, quiet
 from apcc_torch.simulation.rollout import rollout
 

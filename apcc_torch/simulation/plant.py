@@ -15,7 +15,8 @@ from apcc_torch.model.friction import TendonTransmission
 from apcc_torch.model.integrators import Actuation, ArmState, guard, semi_implicit_step
 from apcc_torch.model.tendons import TendonRouting
 from apcc_torch.native.compiled import compiled
-from apcc_torch.settings import Setting, aligned, check_setting, hold, hold_rows
+from apcc_torch.part import hold, hold_rows
+from apcc_torch.settings import Setting, aligned, check_setting
 from apcc_torch.simulation.rollout import rollout
 
 

@@ -9,7 +9,8 @@ from torch import Tensor, nn
 
 from apcc_torch.errors import ValueRangeError
 from apcc_torch.lie import se3
-from apcc_torch.settings import Setting, aligned, check_settings_or_zero, hold, is_used
+from apcc_torch.part import check_settings_or_zero, hold
+from apcc_torch.settings import Setting, aligned, is_used
 from apcc_torch.shapes import check_tensor
 
 

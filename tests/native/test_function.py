@@ -15,7 +15,7 @@ from apcc_torch.native import function as native_function
 from apcc_torch.native.build import built
 from apcc_torch.native.compiled import compiled
 from apcc_torch.native.function import NativeFunction
-from apcc_torch.settings import hold
+from apcc_torch.part import hold
 from laws import generator, normal
 
 D = torch.float64

@@ -1,0 +1,208 @@
+"""An arm: one description, in one file, that the model, the plant, the controller and every program read."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, fields, make_dataclass
+from math import pi
+from pathlib import Path
+from typing import Any
+
+import torch
+import yaml
+from torch import Tensor
+
+from apcc_torch.errors import ConfigError, DataError, ValueRangeError
+from apcc_torch.files import write_atomically
+from apcc_torch.model.backbone import HANGING, PCCBackbone
+from apcc_torch.model.dynamics import SoftArmDynamics
+from apcc_torch.model.kinematic_model import KinematicModel
+from apcc_torch.model.stiffness import scaled_stiffness
+from apcc_torch.model.tendons import TendonRouting, rack_routing
+from apcc_torch.reading import plain, read
+from apcc_torch.settings import OURS, PAPER, Setting, Settings, aligned, setting
+
+STANDING = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+BASES = {"hanging": HANGING, "standing": STANDING}
+
+Lengths = tuple[float, ...] | Tensor
+"""Numbers in metres, or a tensor (..., n) of them, one set a row."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Arm(Settings):
+    """A soft arm of sections in series, as it is believed to be: what its file says.
+
+    Sensors and tendon racks sit at the sections' ends unless told otherwise. Lengths and abscissae are those of the arm
+    at rest, measured along it from its base.
+
+    Example:
+        >>> arm = Arm(lengths=[0.2, 0.25], mass=0.4, tendon_offset=0.015)
+        >>> arm.sensor_places()
+        tensor([0.2000, 0.4500], dtype=torch.float64)
+        >>> arm.routing().n_tendons
+        6
+    """
+
+    lengths: Lengths = setting(unit="m", source=PAPER, meaning="rest lengths of the sections", rows="sections", above=0)
+    sensors: Lengths | None = setting(
+        None, "m", PAPER, "abscissae of the sensors; null: the sections' ends", rows="sections", least=0
+    )
+    true_sensors: Lengths | None = setting(
+        None, "m", OURS, "where a plant's sensors really are; null: as believed", rows="sections", least=0
+    )
+    base: str = setting(
+        "hanging", "", OURS, "hanging (pi about x, the arm at z <= 0) or standing", choices=tuple(BASES)
+    )
+    racks: Lengths | None = setting(
+        None, "m", PAPER, "abscissae of the tendon racks; null: the sections' ends", above=0
+    )
+    tendon_offset: float = setting(0.027, "m", PAPER, "distance of the tendons from the backbone", above=0)
+    tendons_per_rack: int = setting(3, "", PAPER, "tendons of a rack, evenly spaced around the backbone", least=1)
+    rack_twist: float = setting(pi / 6.0, "rad", PAPER, "turn of each rack against the one before")
+    layout: str = setting(
+        "coupled",
+        "",
+        PAPER,
+        "coupled, a tendon acts from the base on; independent, from the rack before its own",
+        choices=("coupled", "independent"),
+    )
+    mass: Setting = setting(1.0, "kg", PAPER, "of the whole arm, spread by length", rows="number", above=0)
+    axial_stiffness: Setting = setting(
+        100.0, "N/m", PAPER, "of a section of the reference length", rows="number", above=0
+    )
+    bending_stiffness: Setting = setting(
+        0.778, "N m/rad", PAPER, "of a section of the reference length", rows="number", above=0
+    )
+    stiffness_reference: Setting = setting(0.1, "m", PAPER, "length of the reference section", rows="number", above=0)
+    stiffness_rule: str = setting(
+        "series",
+        "",
+        OURS,
+        "series: EA/l, EI/l as in beam theory; proportional: the paper's wording read literally",
+        choices=("series", "proportional"),
+    )
+    damping_ratio: Setting = setting(0.1, "s", PAPER, "D = damping_ratio K", rows="number", least=0)
+
+    def check(self) -> None:
+        """Raises where abscissae do not increase or lie beyond the arm, or nothing is there."""
+        lengths = self.rest_lengths()
+        if not lengths.shape[-1]:
+            raise ConfigError("lengths must name at least one section")
+        end = lengths.sum(-1, keepdim=True) * (1.0 + 1e-6)
+        for name, wanted in {"sensors": self.sensors, "true_sensors": self.true_sensors, "racks": self.racks}.items():
+            if wanted is None:
+                continue
+            at = vector(wanted)
+            if not at.shape[-1] or bool((at.diff(dim=-1) <= 0).any()):
+                raise ValueRangeError(f"{name} must be increasing, at least one, got {at.tolist()}")
+            if bool((at > end).any()):
+                raise ValueRangeError(f"{name} must lie on the arm, {float(end.max()):.4g} m long, got {at.tolist()}")
+        if self.true_sensors is not None and vector(self.true_sensors).shape != self.sensor_places().shape:
+            raise ConfigError("true_sensors must have as many entries as sensors")
+
+    @property
+    def n_sections(self) -> int:
+        """Number of sections n_b."""
+        return vector(self.lengths).shape[-1]
+
+    @property
+    def n_tendons(self) -> int:
+        """Number of tendons n_a."""
+        return self.routing().n_tendons
+
+    def rest_lengths(self) -> Tensor:
+        """(..., n_b) m, float64 unless they are a tensor."""
+        return vector(self.lengths)
+
+    def sensor_places(self) -> Tensor:
+        """(..., k) abscissae at which the sensors are believed to be, m."""
+        return self.rest_lengths().cumsum(-1) if self.sensors is None else vector(self.sensors)
+
+    def true_sensor_places(self) -> Tensor:
+        """(..., k) abscissae at which they are, m."""
+        return self.sensor_places() if self.true_sensors is None else vector(self.true_sensors)
+
+    def base_rotation(self) -> Tensor:
+        """(3, 3) base of the arm in the world."""
+        return torch.tensor(BASES[self.base], dtype=torch.float64)
+
+    def backbone(self, kind: Callable[..., KinematicModel] = PCCBackbone, **settings: Any) -> KinematicModel:
+        """A kinematic model of its sections.
+
+        Args:
+            kind: The class.
+            settings: The class's own.
+        """
+        return kind(self.n_sections, self.base_rotation(), **settings)
+
+    def routing(self) -> TendonRouting:
+        """Its tendons."""
+        racks = self.rest_lengths().cumsum(-1) if self.racks is None else vector(self.racks)
+        return rack_routing(racks, self.tendon_offset, self.tendons_per_rack, self.rack_twist, self.layout)
+
+    def refined(self, factor: int) -> Tensor:
+        """(..., factor n_b) lengths of the sections, each divided into `factor` equal ones, m."""
+        return (self.rest_lengths() / factor).repeat_interleave(factor, dim=-1)
+
+    def dynamics(self, factor: int = 1) -> SoftArmDynamics:
+        """Its dynamics, each section divided into `factor` equal ones."""
+        lengths = self.refined(factor)
+        axial, bending = scaled_stiffness(
+            lengths,
+            aligned(self.stiffness_reference, 1),
+            aligned(self.axial_stiffness, 1),
+            aligned(self.bending_stiffness, 1),
+            self.stiffness_rule,
+        )
+        masses = aligned(self.mass, 1) * lengths / lengths.sum(-1, keepdim=True)
+        return SoftArmDynamics(
+            lengths, masses, axial, bending, damping_ratio=self.damping_ratio, base_rotation=self.base_rotation()
+        )
+
+    @staticmethod
+    def load(path: str | Path) -> Arm:
+        """Reads an arm's file, YAML with the fields of this class as keys.
+
+        Raises:
+            DataError: The file cannot be read.
+            ConfigError, ValueRangeError: A key is unknown, or a value out of range.
+        """
+        try:
+            values = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
+        except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+            raise DataError(f"{path}: cannot be read as an arm's file: {str(error).splitlines()[0]}") from error
+        if not isinstance(values, dict):
+            raise DataError(f"{path}: is no arm's file: it must hold keys such as lengths")
+        try:
+            return read(values, Arm)
+        except (ConfigError, ValueRangeError) as error:
+            raise type(error)(f"{path}: {error}") from error
+
+    def save(self, path: str | Path) -> None:
+        """Writes the arm as a file that `load` reads."""
+        write_atomically(path, yaml.safe_dump(plain(self), sort_keys=False, default_flow_style=None))
+
+
+def vector(values: Lengths) -> Tensor:
+    """Numbers as a tensor, float64 unless they are one."""
+    return values if isinstance(values, Tensor) else torch.tensor(values, dtype=torch.float64)
+
+
+ArmChanges = make_dataclass(
+    "ArmChanges",
+    [
+        (each.name, f"{each.type} | None".replace("None | None", "None"), field(default=None, metadata=each.metadata))
+        for each in fields(Arm)
+    ],
+    bases=(Settings,),
+    namespace={"__doc__": "What differs on an arm from what is believed of it; None: nothing.", "__module__": __name__},
+    frozen=True,
+    kw_only=True,
+)
+
+
+def with_changes(arm: Arm, changes: Settings) -> Arm:
+    """The arm with those of the changes that are not None."""
+    values = {each.name: getattr(changes, each.name) for each in fields(changes)}
+    return arm.changed(**{name: value for name, value in values.items() if value is not None})

@@ -1,0 +1,147 @@
+"""Plain values to settings and back: what a file or a command line says, checked key by key against the dataclasses."""
+
+from __future__ import annotations
+
+import typing
+from collections.abc import Mapping, Sequence
+from dataclasses import MISSING, Field, fields, is_dataclass
+from types import UnionType
+from typing import Any, TypeVar, Union, cast
+
+from apcc_torch.classes import Trust, class_named, name_of
+from apcc_torch.errors import ApccError, ConfigError
+from apcc_torch.part import part_of
+from apcc_torch.settings import Settings, about_of, default_of, did_you_mean, names
+
+Root = TypeVar("Root", bound=Settings)
+
+MUST = "???"
+"""What stands for a value that has to be given, as in OmegaConf."""
+
+
+def read(values: Mapping[str, Any], root: type[Root], key: str = "", trust: Trust = Trust.ANY) -> Root:
+    """Settings of the class `root` from plain values; what is left out has its default.
+
+    A field whose `About.base` is a class holds a part: its value is a mapping with `kind`, the part's class, and that
+    class's own settings. None stands for no part where the field allows it.
+
+    Args:
+        values: Nested mappings, as a file or a command line gives them.
+        root: A `Settings` class.
+        key: Where in the whole the values stand, for messages; "" for the root.
+        trust: Which classes a `kind` may name.
+
+    Raises:
+        ConfigError: A key is unknown or missing, or a value has the wrong type; the sentence names the key.
+        ValueRangeError: A number is out of its range.
+    """
+    if not isinstance(values, Mapping):
+        raise ConfigError(f"{key or 'the settings'} must hold keys and values, got {values!r}")
+    known = names(root)
+    for name in values:
+        if name not in known:
+            raise ConfigError(f"{_join(key, str(name))} is no setting{did_you_mean(str(name), known)}")
+    taken = {}
+    for each in fields(root):
+        at = _join(key, each.name)
+        if each.name in values and values[each.name] != MUST:
+            taken[each.name] = _value(values[each.name], each, root, at, trust)
+        elif default_of(each) is MISSING:
+            raise ConfigError(f"{at} must be given")
+    return _made(root, taken, key)
+
+
+def _made(kind: type[Root], taken: Mapping[str, Any], key: str) -> Root:
+    try:
+        return kind(**taken)
+    except ApccError as error:
+        # A part names its own setting; here it has a longer name.
+        raise type(error)(_join(key, str(error))) from error
+
+
+def _value(value: Any, each: Field[Any], root: type[Settings], key: str, trust: Trust) -> Any:
+    about, annotation = about_of(each), _types(root)[each.name]
+    if about.base is not None:
+        return None if value is None else read_part(value, about.base, key, trust)
+    options = typing.get_args(annotation) if typing.get_origin(annotation) in (Union, UnionType) else (annotation,)
+    nested = next((option for option in options if is_dataclass(option)), None)
+    if value is None and type(None) in options:
+        return None
+    if nested is not None:
+        return read(value, cast(type[Settings], nested), key, trust)
+    for option in options:
+        origin, inner = typing.get_origin(option), typing.get_args(option)
+        if origin is dict and is_dataclass(inner[1]) and isinstance(value, Mapping):
+            kind = cast(type[Settings], inner[1])
+            return {str(name): read(entry, kind, _join(key, str(name)), trust) for name, entry in value.items()}
+        if origin is tuple and float not in options and not isinstance(value, Mapping):
+            return _entries(value, inner[0], key)
+    # YAML tells 2 from 2.0, and a setting that is a number does not.
+    if isinstance(value, int) and not isinstance(value, bool) and float in options and int not in options:
+        return float(value)
+    return value
+
+
+def _entries(value: Any, inner: Any, key: str) -> tuple[Any, ...]:
+    if isinstance(value, str) or not isinstance(value, Sequence):
+        raise ConfigError(f"{key} must be a list, got {value!r}")
+    if inner in (float, int, str):
+        wanted = {float: (int, float), int: (int,), str: (str,)}[inner]
+        word = {float: "numbers", int: "whole numbers", str: "texts"}[inner]
+        if any(isinstance(entry, bool) or not isinstance(entry, wanted) for entry in value):
+            raise ConfigError(f"{key} must be a list of {word}, got {list(value)!r}")
+        return tuple(float(entry) if inner is float else entry for entry in value)
+    return tuple(value)
+
+
+def read_part(values: Any, base: type, key: str, trust: Trust = Trust.ANY) -> Settings:
+    """The settings of the part that `values` name by their `kind`.
+
+    Raises:
+        ConfigError: No class is named, it is not of `base`, or it has no such settings.
+    """
+    if not isinstance(values, Mapping) or not isinstance(values.get("kind"), str) or values["kind"] == MUST:
+        raise ConfigError(f"{_join(key, 'kind')} must name a class, as package.module.Class")
+    part = class_named(_join(key, "kind"), values["kind"], base, trust)
+    settings: type[Settings] = part.settings_type
+    return read({name: value for name, value in values.items() if name != "kind"}, settings, key, trust)
+
+
+def plain(settings: Any) -> Any:
+    """Settings as plain values that `read` takes: mappings, lists, numbers and texts."""
+    if is_dataclass(settings) and not isinstance(settings, type):
+        values = {}
+        for each in fields(settings):
+            value = getattr(settings, each.name)
+            values[each.name] = plain(value)
+            if about_of(each).base is not None and value is not None:
+                values[each.name] = {"kind": name_of(part_of(value)), **values[each.name]}
+        return values
+    if isinstance(settings, Mapping):
+        return {name: plain(value) for name, value in settings.items()}
+    if isinstance(settings, list | tuple):
+        return [plain(value) for value in settings]
+    return settings
+
+
+def defaults(root: type[Settings]) -> dict[str, Any]:
+    """The defaults of a `Settings` class as plain values; `MUST` where there is none."""
+    values: dict[str, Any] = {}
+    for each in fields(root):
+        default = default_of(each)
+        if default is MISSING:
+            annotation = _types(root)[each.name]
+            values[each.name] = defaults(cast(type[Settings], annotation)) if is_dataclass(annotation) else MUST
+        elif about_of(each).base is not None and default is not None:
+            values[each.name] = {"kind": name_of(part_of(default)), **plain(default)}
+        else:
+            values[each.name] = plain(default)
+    return values
+
+
+def _types(root: type[Settings]) -> dict[str, Any]:
+    return typing.get_type_hints(root)
+
+
+def _join(key: str, name: str) -> str:
+    return f"{key}.{name}" if key else name
