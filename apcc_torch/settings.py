@@ -18,6 +18,7 @@ import torch
 from torch import Tensor
 
 from apcc_torch.errors import ConfigError, ValueRangeError
+from apcc_torch.modes import none_left, values_of
 
 Setting = float | Tensor
 """A number for all rows, or (...) numbers that broadcast with the leading dimensions of what they are used on."""
@@ -109,6 +110,9 @@ class Settings:
         ConfigError: A value is of the wrong type, or none of a field's choices.
         ValueRangeError: A number is out of its range.
     """
+
+    def __init_subclass__(cls) -> None:
+        torch.serialization.add_safe_globals([cls])
 
     def __post_init__(self) -> None:
         for each in fields(self):
@@ -235,9 +239,9 @@ def check_type(key: str, value: Any, annotation: str) -> None:
 
 
 def numbers_in(value: Any) -> Iterable[float]:
-    """Every number in a number, a tensor, or lists and mappings of them; this reads values."""
+    """Every number in a number, a tensor, or lists and mappings of them; none of a tensor without values to read."""
     if isinstance(value, Tensor):
-        yield from value.detach().flatten().tolist()
+        yield from values_of(value.detach().flatten()) or ()
     elif isinstance(value, Mapping):
         for entry in value.values():
             yield from numbers_in(entry)
@@ -265,7 +269,7 @@ def aligned(value: Value, extra: int) -> Value:
 
 def is_used(value: Setting) -> bool:
     """Whether a setting that zero turns off is on for any row; reads values, so for construction only."""
-    return bool((value > 0).any()) if isinstance(value, Tensor) else value > 0
+    return not none_left(value > 0) if isinstance(value, Tensor) else value > 0
 
 
 def spread(name: str, value: Numbers, n: int) -> Tensor:

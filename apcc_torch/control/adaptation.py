@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from apcc_torch.control.bounds import scaled_within
 from apcc_torch.control.gain import gain_matrix
 from apcc_torch.errors import ValueRangeError
-from apcc_torch.part import check_settings, check_settings_or_zero, hold, hold_rows
+from apcc_torch.modes import holds, none_left
+from apcc_torch.part import Part, check_settings, check_settings_or_zero, hold, hold_rows
 from apcc_torch.settings import Setting, aligned, is_used
 from apcc_torch.shapes import check_finite, check_same, check_tensor
 
 REGRESSORS = ("partial", "estimator_aware", "none")
 
 
-class AdaptiveLaw(nn.Module):
+class AdaptiveLaw(Part):
     """pi_hat_dot = -Gamma Y^T e. Eq. (15) [Dalenberg].
 
     Which Y: the law descends V of Eq. (18) only along d(xdot_hat)/d(pi_hat). Theorem 1's Y is that derivative with q
@@ -78,9 +79,9 @@ class AdaptiveLaw(nn.Module):
         for name, bound in {"lower": lower, "upper": upper}.items():
             if bound is not None:
                 check_finite(name, check_tensor(name, bound, (n_sections,)))
-        if lower is not None and bool((lower <= 0).any()):
+        if lower is not None and not holds(lower > 0):
             raise ValueRangeError("lower must be positive: a section cannot have no length")
-        if lower is not None and upper is not None and bool((lower >= upper).any()):
+        if lower is not None and upper is not None and not holds(lower < upper):
             raise ValueRangeError("lower must be below upper for every section")
         hold_rows(self, lower=(lower, 1), upper=(upper, 1))
         self.regressor = regressor
@@ -89,7 +90,7 @@ class AdaptiveLaw(nn.Module):
         ends = None if reach is None else _cumulative_reach(reach, n_sections)
         hold_rows(self, reach=(ends, 1))
         # How many sections each wanted end lies behind; one that is zero asks for nothing.
-        self._reaching = [] if ends is None else [i + 1 for i in range(n_sections) if bool((ends[..., i] > 0).any())]
+        self._reaching = [] if ends is None else [i + 1 for i in range(n_sections) if not none_left(ends[..., i] > 0)]
 
     def velocity(self, Y: Tensor, e: Tensor) -> Tensor:
         """pi_hat_dot (..., n_b), m/s, before projection. Eq. (15) [Dalenberg].
@@ -150,6 +151,6 @@ def _cumulative_reach(reach: float | Tensor, n_sections: int) -> Tensor:
         last = torch.tensor([float(reach)], dtype=torch.float64)
         reach = torch.cat((torch.zeros(n_sections - 1, dtype=torch.float64), last))
     check_finite("reach", check_tensor("reach", reach, (n_sections,)))
-    if bool((reach < 0).any()) or bool((reach.diff() < 0).any()) or not bool((reach[..., -1] > 0).all()):
+    if not (holds(reach >= 0) and holds(reach.diff() >= 0) and holds(reach[..., -1] > 0)):
         raise ValueRangeError(f"reach must be not negative, not decreasing and end positive, got {reach.tolist()}")
-    return reach.clone()
+    return reach

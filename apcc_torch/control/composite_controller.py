@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from apcc_torch.control.adaptive_dynamics import AdaptiveDynamics, DynamicsEstimate
 from apcc_torch.control.bounds import within
@@ -21,7 +21,7 @@ from apcc_torch.linalg import damped_pseudo_inverse
 from apcc_torch.model.dynamics_regressor import DynamicsRegressor
 from apcc_torch.model.kinematic_model import KinematicModel
 from apcc_torch.model.tendons import TendonRouting
-from apcc_torch.part import check_settings, check_settings_or_zero
+from apcc_torch.part import Part, check_settings, check_settings_or_zero
 from apcc_torch.shapes import check_tensor
 
 
@@ -58,7 +58,7 @@ class CompositeState(NamedTuple):
         return self.dynamics.theta_hat
 
 
-class CompositeController(nn.Module):
+class CompositeController(Part):
     """`APCCController` with a feed-forward u = B_hat(pi_hat)^+ (Y_d theta_hat - K_s s), added to the tendon loop.
 
     The references of Y_d come from q_d: its rate behind a low-pass, v, with that filter's own acceleration, both with

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from apcc_torch.control.adaptation import AdaptiveLaw
 from apcc_torch.control.bounds import within
@@ -19,14 +19,14 @@ from apcc_torch.estimation.savitzky_golay import SavitzkyGolay
 from apcc_torch.estimation.state_feedback import StateFeedback
 from apcc_torch.model.kinematic_model import KinematicModel, Placed
 from apcc_torch.model.tendons import TendonRouting
-from apcc_torch.part import check_settings, hold
+from apcc_torch.part import Part, check_settings, hold
 from apcc_torch.settings import Setting, check_setting
 from apcc_torch.shapes import batch_shape, check_same, check_tensor
 
 VELOCITIES = ("measured", "commanded")
 
 
-class APCCController(nn.Module):
+class APCCController(Part):
     """Adaptive inverse kinematic control with decoupled sensing and actuation. Figs. 6, 10 [Dalenberg].
 
     One step: algorithm 2 infers q_bar with pi_hat frozen; the Savitzky-Golay filter gives its velocity; the law updates

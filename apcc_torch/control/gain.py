@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
-from apcc_torch.errors import ValueRangeError
+from apcc_torch.errors import ShapeError, ValueRangeError
+from apcc_torch.modes import holds
 from apcc_torch.shapes import check_finite, check_tensor
 
 
@@ -21,6 +22,8 @@ def gain_matrix(name: str, gain: float | Tensor, n: int) -> Tensor:
         ShapeError: The tensor's shape is none of these.
         ValueRangeError: Not finite, not symmetric, or not positive definite.
     """
+    if isinstance(gain, nn.Parameter) and gain.shape[-2:] != (n, n):
+        raise ShapeError(f"{name} is trained as a matrix: hand in nn.Parameter(gain * torch.eye({n}))")
     value = gain if isinstance(gain, Tensor) else torch.tensor(float(gain), dtype=torch.float64)
     if value.dim() == 0:
         value = value * torch.eye(n, dtype=value.dtype, device=value.device)
@@ -29,9 +32,9 @@ def gain_matrix(name: str, gain: float | Tensor, n: int) -> Tensor:
     check_tensor(name, value, (n, n))
     check_finite(name, value)
     number = value.detach()
-    if float((number - number.mT).abs().amax()) > 1e-6 * float(number.abs().amax()):
+    if not holds((number - number.mT).abs().amax() <= 1e-6 * number.abs().amax()):
         raise ValueRangeError(f"{name} must be symmetric")
-    lowest = float(torch.linalg.eigvalsh(number).amin())
-    if lowest <= 0:
-        raise ValueRangeError(f"{name} must be positive definite, its lowest eigenvalue is {lowest:g}")
-    return value.clone()
+    lowest = torch.linalg.eigvalsh(number).amin()
+    if not holds(lowest > 0):
+        raise ValueRangeError(f"{name} must be positive definite, its lowest eigenvalue is {float(lowest):g}")
+    return value

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from apcc_torch.control.gain import gain_matrix
 from apcc_torch.linalg import damped_pseudo_inverse
 from apcc_torch.model.coordinates import CONSTANT_CURVATURE, Coordinates
-from apcc_torch.part import check_settings, check_settings_or_zero, hold, hold_rows
+from apcc_torch.part import Part, check_settings, check_settings_or_zero, hold, hold_rows
 from apcc_torch.settings import Setting, aligned, check_setting
 from apcc_torch.shapes import check_finite, check_same, check_tensor
 
@@ -45,7 +45,7 @@ def elongation_gradient(
     return coordinates.on_elongations(slope)
 
 
-class InverseKinematics(nn.Module):
+class InverseKinematics(Part):
     """qdot = J^+ (xdot_d + K e) + (I - J^+ J) grad_Psi. Eqs. (14), (16), remark 2 [Dalenberg].
 
     Each number may also be a tensor (...), one a row.

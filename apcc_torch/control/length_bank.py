@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from apcc_torch.control.bounds import scaled_within, within
 from apcc_torch.errors import ConfigError, ValueRangeError
@@ -21,8 +21,9 @@ from apcc_torch.estimation.sensor_curve import SensorCurve
 from apcc_torch.estimation.state_feedback import StateFeedback
 from apcc_torch.model.abscissae import located
 from apcc_torch.model.kinematic_model import KinematicModel
-from apcc_torch.part import check_settings, check_settings_or_zero, hold, hold_rows
-from apcc_torch.settings import Setting, aligned, is_used
+from apcc_torch.modes import holds, none_left, values_of
+from apcc_torch.part import Part, check_settings, check_settings_or_zero, hold, hold_rows, refuse_parameter
+from apcc_torch.settings import Setting, aligned, is_used, numbers_in
 from apcc_torch.shapes import check_finite, check_tensor
 
 UNSEEN = 1.0
@@ -44,7 +45,7 @@ class BankEvidence(NamedTuple):
     turn: Tensor
 
 
-class LengthBank(nn.Module):
+class LengthBank(Part):
     """pi_hat_dot = (pi* - pi_hat) / tau, pi* the mean of the bank's rest lengths pi_m, weighed by
 
         w_m ~ exp(-(V_m - min V) / (sharpness min V + resolution^2)),
@@ -128,14 +129,15 @@ class LengthBank(nn.Module):
         }
         check_settings(**positive)
         check_settings_or_zero(**weights)
-        if bool((torch.as_tensor(total_range) >= 1).any()):
+        if any(number >= 1 for number in numbers_in(total_range)):
             raise ValueRangeError(f"total_range must be below 1, got {total_range}")
+        refuse_parameter("nominal", nominal, "the bank's models are made of it once; hand in a plain tensor")
         check_finite("nominal", check_tensor("nominal", nominal, (None,)))
         self.feedback = feedback
         self.curve = curve
         hold(self, **positive, **weights)
         self.remembers, self.stretches = is_used(memory), is_used(stretch)
-        hold_rows(self, nominal=(nominal.clone(), 1), candidates=(candidates(nominal, shares, feedback.abscissae), 2))
+        hold_rows(self, nominal=(nominal, 1), candidates=(candidates(nominal, shares, feedback.abscissae), 2))
 
     @property
     def needs_orientations(self) -> bool:
@@ -243,7 +245,7 @@ def candidates(nominal: Tensor, shares: Shares, abscissae: Tensor) -> Tensor:
     lists = _lists(shares, n_b - 1)
     combinations = itertools.product(*(each.unbind(-1) for each in lists)) if lists else ()
     every = (torch.stack(torch.broadcast_tensors(*factors), dim=-1) for factors in combinations)
-    others = [factors.to(nominal) for factors in every if bool((factors != 1.0).any())]
+    others = [factors.to(nominal) for factors in every if not none_left(factors != 1.0)]
     if not others:
         raise ConfigError(f"a bank needs two sections or more and shares other than 1, got {n_b} and {list(shares)}")
     combined = torch.stack(others, dim=-2)
@@ -252,9 +254,12 @@ def candidates(nominal: Tensor, shares: Shares, abscissae: Tensor) -> Tensor:
     made = torch.cat((first, last.expand(*first.shape[:-1], 1)), dim=-1)
     kept = (made[..., -1] > 0) & _told_apart(made, abscissae.to(nominal).unsqueeze(-2))
     kept = kept.reshape(-1, kept.shape[-1]).all(0)  # in every row, for rows share the number of models
-    if not bool(kept.any()):
+    if none_left(kept):
         raise ConfigError(f"shares must leave lengths that the sensors can tell, got {list(shares)}")
-    return torch.cat((nominal.unsqueeze(-2).expand(*made.shape[:-2], 1, n_b), made[..., kept, :]), dim=-2)
+    places = values_of(kept)
+    if places is not None:  # else nothing is known of them, and all stay
+        made = made[..., places, :]
+    return torch.cat((nominal.unsqueeze(-2).expand(*made.shape[:-2], 1, n_b), made), dim=-2)
 
 
 def _lists(shares: Shares, sections: int) -> list[Tensor]:
@@ -267,7 +272,7 @@ def _lists(shares: Shares, sections: int) -> list[Tensor]:
     listed = [share for group in every if not isinstance(group, Tensor) for share in group]
     if all(isinstance(share, int | float) for share in listed):
         lists = [torch.as_tensor(group, dtype=torch.float64) for group in every]
-        if all(group.numel() > 0 and bool(((group > 0) & torch.isfinite(group)).all()) for group in lists):
+        if all(group.numel() > 0 and holds((group > 0) & torch.isfinite(group)) for group in lists):
             return lists
     raise ValueRangeError(f"shares must be positive and finite numbers, at least one, got {shares}")
 
@@ -277,8 +282,8 @@ def _told_apart(lengths: Tensor, abscissae: Tensor) -> Tensor:
     n_b, k = lengths.shape[-1], abscissae.shape[-1]
     ends = torch.nn.functional.pad(lengths.cumsum(-1), (1, 1))
     ends[..., -1] = float("inf")  # nothing follows the last section
-    told = torch.zeros(torch.broadcast_shapes(lengths.shape[:-1], abscissae.shape[:-1]), dtype=torch.bool)
+    told = lengths.new_zeros(torch.broadcast_shapes(lengths.shape[:-1], abscissae.shape[:-1]), dtype=torch.bool)
     for chosen in itertools.combinations(range(k), n_b):
         X = abscissae[..., list(chosen)]
-        told = told.to(X.device) | ((ends[..., :n_b] < X) & (ends[..., 2:] > X)).all(-1)
+        told = told | ((ends[..., :n_b] < X) & (ends[..., 2:] > X)).all(-1)
     return told

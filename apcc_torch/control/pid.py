@@ -5,15 +5,15 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from apcc_torch.control.bounds import within
-from apcc_torch.part import check_settings, check_settings_or_zero, hold
+from apcc_torch.part import Part, check_settings, check_settings_or_zero, hold
 from apcc_torch.settings import Setting, aligned
 from apcc_torch.shapes import check_same, check_tensor
 
 
-class TendonPID(nn.Module):
+class TendonPID(Part):
     """u = K_P (y_d - y) + K_I z + K_D (ydot_d - ydot) with zdot = y_d - y. Section V-B [Dalenberg].
 
     y is a tendon's length change and u the force conjugate to it, so tension is -u. Each number may also be a

@@ -18,7 +18,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from apcc_torch.control.bounds import scaled_within
 from apcc_torch.errors import ConfigError, ValueRangeError
@@ -27,7 +27,8 @@ from apcc_torch.lie import se3
 from apcc_torch.linalg import solve_spd
 from apcc_torch.model.abscissae import located
 from apcc_torch.model.kinematic_model import KinematicModel
-from apcc_torch.part import check_settings, check_settings_or_zero, hold, hold_rows
+from apcc_torch.modes import holds
+from apcc_torch.part import Part, check_settings, check_settings_or_zero, hold, hold_rows
 from apcc_torch.settings import Setting, aligned, is_used
 from apcc_torch.shapes import check_finite, check_tensor
 
@@ -51,7 +52,7 @@ class Residual(NamedTuple):
     derivative: Tensor
 
 
-class ResidualLaw(nn.Module):
+class ResidualLaw(Part):
     """pi_hat_dot = (H + lambda^2 I)^-1 g / tau, a Gauss-Newton flow of V; see the module's head.
 
     Targets:
@@ -132,14 +133,14 @@ class ResidualLaw(nn.Module):
         check_settings_or_zero(**weights)
         check_finite("nominal", check_tensor("nominal", nominal, (None,)))
         gains = torch.ones_like(nominal) if gains is None else check_tensor("gains", gains, (nominal.shape[-1],))
-        if not bool((check_finite("gains", gains) >= 0).all()):
+        if not holds(check_finite("gains", gains) >= 0):
             raise ValueRangeError(f"gains must be zero or positive, got {gains.tolist()}")
         self.target = target
         self.curve = curve
         hold(self, **positive, **weights)
         # Read once, for a compiled step has no branches on values.
         self.oriented, self.monitored, self.remembers = (is_used(v) for v in (angular_weight, excitation, memory))
-        hold_rows(self, nominal=(nominal.clone(), 1), gains=(gains.clone(), 1))
+        hold_rows(self, nominal=(nominal, 1), gains=(gains, 1))
 
     @property
     def needs_orientations(self) -> bool:

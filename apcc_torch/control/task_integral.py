@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
-from apcc_torch.part import hold
+from apcc_torch.part import Part, hold
 from apcc_torch.settings import Setting, aligned, check_setting
 
 
-class TaskIntegral(nn.Module):
+class TaskIntegral(Part):
     """z in K (e + z) for the K e of Eq. (14):  zdot = gain e / (1 + (|e| / reach)^4).
 
     A soft arm creeps under its load, and a motion in the null space of a model that is wrong moves the tip: K e has to

@@ -10,13 +10,13 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from apcc_torch.errors import ValueRangeError
 from apcc_torch.lie import se3, so3
 from apcc_torch.model.abscissae import MaterialPoints
 from apcc_torch.model.kinematic_model import KinematicModel
-from apcc_torch.part import check_settings_or_zero, hold
+from apcc_torch.part import Part, check_settings_or_zero, hold
 from apcc_torch.settings import Setting, aligned
 
 LONG_AGO = 1e9
@@ -39,7 +39,7 @@ class PoseFilterState(NamedTuple):
     since: Tensor
 
 
-class PoseFilter(nn.Module):
+class PoseFilter(Part):
     """Complementary filter of sensor poses: T = T_pred exp(alpha log(T_pred^-1 T_meas)), part by part, with
 
         T_pred <- T exp(follow J_s(q_bar, pi_hat) dq_d),    alpha = 1 - exp(-age / time).

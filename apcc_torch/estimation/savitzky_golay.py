@@ -10,9 +10,10 @@ import math
 from typing import NamedTuple
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from apcc_torch.errors import ShapeError, ValueRangeError
+from apcc_torch.part import Part
 from apcc_torch.settings import check_setting
 from apcc_torch.shapes import batch_shape, check_same, check_tensor
 
@@ -124,7 +125,7 @@ def polynomial_weights(
     return [w / scale**m if m > 1 else w / scale if m else w for w, m in fitted]
 
 
-class SavitzkyGolay(nn.Module):
+class SavitzkyGolay(Part):
     """Derivative of the least-squares polynomial over the last N samples, at the newest time stamp.
 
     With fewer than order + 1 valid samples at distinct stamps the order drops to their number less one: one sample

@@ -8,17 +8,18 @@ where only positions are, they are those of the cubic spline that leaves the bas
 from __future__ import annotations
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from apcc_torch.errors import ValueRangeError
 from apcc_torch.model.kinematic_model import Placed
-from apcc_torch.part import hold_rows
+from apcc_torch.modes import holds
+from apcc_torch.part import Part, hold_rows
 from apcc_torch.shapes import check_finite, check_same, check_tensor
 
 TANGENTS = ("measured", "spline")
 
 
-class SensorCurve(nn.Module):
+class SensorCurve(Part):
     """Points on the curve through the base and k sensors.
 
     Args:
@@ -31,8 +32,8 @@ class SensorCurve(nn.Module):
         ValueRangeError: A sensor lies on the base, the abscissae do not increase, or a setting is unknown.
     """
 
-    base_axis: Tensor
-    abscissae: Tensor
+    base_rotation: Tensor
+    ends: Tensor
     shares: Tensor
 
     def __init__(self, base_rotation: Tensor, abscissae: Tensor, tangents: str = "measured", samples: int = 8) -> None:
@@ -43,15 +44,18 @@ class SensorCurve(nn.Module):
             raise ValueRangeError(f"tangents must be one of {', '.join(TANGENTS)}, got {tangents!r}")
         if samples < 1:
             raise ValueRangeError(f"samples must be at least 1, got {samples}")
-        ends = torch.nn.functional.pad(abscissae, (1, 0))
-        if abscissae.shape[-1] == 0 or bool((ends.diff() <= 0).any()):
+        if abscissae.shape[-1] == 0 or not holds(torch.nn.functional.pad(abscissae, (1, 0)).diff() > 0):
             raise ValueRangeError(f"abscissae must increase from beyond the base, got {abscissae.tolist()}")
         self.tangents = tangents
         share = torch.arange(1, samples + 1, dtype=abscissae.dtype, device=abscissae.device) / samples
-        self.register_buffer("base_axis", base_rotation[:, 2].clone())
         self.register_buffer("shares", share)
-        between = ends[..., :-1, None] + ends.diff().unsqueeze(-1) * share
-        hold_rows(self, abscissae=(between.flatten(-2), 1))
+        hold_rows(self, base_rotation=(base_rotation, 2), ends=(abscissae, 1))
+
+    @property
+    def abscissae(self) -> Tensor:
+        """(..., k samples) material abscissae of the curve's points, m."""
+        ends = torch.nn.functional.pad(self.ends, (1, 0))
+        return (ends[..., :-1, None] + ends.diff().unsqueeze(-1) * self.shares).flatten(-2)
 
     def forward(self, T: Tensor) -> Tensor:
         """Points (..., k samples, 3) m, world frame, at the material abscissae `abscissae` of an evenly stretched arm.
@@ -62,10 +66,10 @@ class SensorCurve(nn.Module):
         Raises:
             ShapeError, DtypeError: T does not fit.
         """
-        check_tensor("T", T, (self.abscissae.shape[-1] // self.shares.shape[0], 4, 4))
-        check_same(T=T, abscissae=self.abscissae.to(T.dtype))
+        check_tensor("T", T, (self.ends.shape[-1], 4, 4))
+        check_same(T=T, abscissae=self.ends.to(T.dtype))
         base = torch.zeros_like(T[..., :1, :3, 3])
-        axis = self.base_axis.to(T).expand_as(base)
+        axis = self.base_rotation[:, 2].to(T).expand_as(base)
         position = torch.cat((base, T[..., :3, 3]), dim=-2)
         start, end = position[..., :-1, :], position[..., 1:, :]
         chord = (end - start).norm(dim=-1, keepdim=True)

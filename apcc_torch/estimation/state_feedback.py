@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from apcc_torch.errors import DtypeError, ShapeError, ValueRangeError
 from apcc_torch.estimation.feedback import Feedback, FeedbackStatus, Inference
@@ -13,7 +13,8 @@ from apcc_torch.estimation.iteration import Rules, iterate
 from apcc_torch.estimation.step import Residual, damped_step, row_weights
 from apcc_torch.model.abscissae import MaterialPoints, located
 from apcc_torch.model.kinematic_model import KinematicModel, Placed
-from apcc_torch.part import check_settings, hold, hold_rows
+from apcc_torch.modes import holds
+from apcc_torch.part import Part, check_settings, hold, hold_rows
 from apcc_torch.settings import Setting, aligned
 from apcc_torch.shapes import batch_shape, check_finite, check_same, check_tensor
 
@@ -21,7 +22,7 @@ MODES = ("position", "pose", "hierarchical")
 GRADIENTS = ("implicit", "unrolled")
 
 
-class StateFeedback(nn.Module):
+class StateFeedback(Part):
     """Decoupled state feedback. Algorithm 2, Eqs. (27)-(32), remark 4 [Dalenberg].
 
     Each iteration is a Levenberg-Marquardt step with a bound on its length: plain Gauss-Newton, Eq. (31), diverges on
@@ -89,7 +90,7 @@ class StateFeedback(nn.Module):
         check_finite("abscissae", abscissae)
         if abscissae.shape[-1] == 0:
             raise ValueRangeError("abscissae must name at least one sensor, got an empty set")
-        if bool((abscissae.diff(dim=-1) <= 0).any()) or bool((abscissae < 0).any()):
+        if not (holds(abscissae.diff(dim=-1) > 0) and holds(abscissae >= 0)):
             raise ValueRangeError(f"abscissae must be increasing and not negative, got {abscissae.tolist()}")
         if mode not in MODES:
             raise ValueRangeError(f"mode must be one of {', '.join(MODES)}, got {mode!r}")
@@ -112,7 +113,7 @@ class StateFeedback(nn.Module):
         self.max_iterations = max_iterations
         self.min_iterations = min_iterations
         hold(self, **settings, settled_step=settled_step)
-        hold_rows(self, abscissae=(abscissae.clone(), 1))
+        hold_rows(self, abscissae=(abscissae, 1))
 
     def forward(
         self,
@@ -155,8 +156,9 @@ class StateFeedback(nn.Module):
     ) -> Inference:
         """`forward`, with what it knows at its end; only the masks are checked here."""
         usable, oriented = self.used(T, mask, angular_mask)
-        shapes = {q_seed.shape[:-1], pi_hat.shape[:-1], oriented.shape[:-1]}
-        batch = shapes.pop() if len(shapes) == 1 else torch.broadcast_shapes(*shapes)
+        batch, *others = q_seed.shape[:-1], pi_hat.shape[:-1], oriented.shape[:-1]
+        if any(shape != batch for shape in others):
+            batch = torch.broadcast_shapes(batch, *others)
         usable, oriented, pi_hat, q_seed = (v.expand(*batch, v.shape[-1]) for v in (usable, oriented, pi_hat, q_seed))
         # What is left out is measured where the model has it: it pulls nowhere, and nothing non-finite enters.
         T = torch.where(usable[..., None, None], T, 0.0)

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from apcc_torch.model.tendons import TendonRouting
+from apcc_torch.part import Part
 from apcc_torch.settings import check_setting
 from apcc_torch.shapes import check_same, check_tensor
 
@@ -22,7 +23,7 @@ def taut(u: Tensor, smoothing: float = 0.0) -> Tensor:
     return -0.5 * (torch.sqrt(u * u + smoothing * smoothing) - u)
 
 
-class TendonTransmission(nn.Module):
+class TendonTransmission(Part):
     """Generalized force of tendons that can go slack and rub along their way (capstan friction).
 
     A tendon that slides towards the motor loses tension with the angle it has been bent through,

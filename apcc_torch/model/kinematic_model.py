@@ -11,14 +11,15 @@ from abc import ABC, abstractmethod
 from typing import Protocol
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from apcc_torch.errors import DtypeError, ShapeError, ValueRangeError
 from apcc_torch.lie import se3
 from apcc_torch.model.abscissae import MaterialPoints, decouple, section_fractions
 from apcc_torch.model.coordinates import Coordinates
 from apcc_torch.model.tendons import TendonRouting
-from apcc_torch.part import hold_rows
+from apcc_torch.modes import holds
+from apcc_torch.part import Part, hold_rows
 from apcc_torch.shapes import batch_shape, check_same, check_tensor
 
 
@@ -46,7 +47,7 @@ class Placed(Protocol):
         """Jdot (..., 3, n) along qdot (..., n), of the leading shape of the chain; chains of whole arms only."""
 
 
-class KinematicModel(nn.Module, ABC):
+class KinematicModel(Part, ABC):
     """Kinematics of n_b sections in series, hung from a base.
 
     Leading dimensions broadcast. Everything is expressed in the world frame, whose origin is the base of the arm. A
@@ -73,11 +74,11 @@ class KinematicModel(nn.Module, ABC):
         check_tensor("base_rotation", base_rotation, (3, 3))
         rotation = base_rotation.detach().to(torch.float64)
         defect = (rotation @ rotation.mT - torch.eye(3, dtype=torch.float64, device=rotation.device)).abs().max()
-        if not (float(defect) < 1e-4 and float(torch.linalg.det(rotation)) > 0.0):
+        if not holds((defect < 1e-4) & (torch.linalg.det(rotation) > 0.0)):
             raise ValueRangeError("base_rotation must be a rotation matrix (orthonormal, determinant 1)")
         self.n_sections = n_sections
         self.coordinates = coordinates
-        hold_rows(self, base_rotation=(base_rotation.clone(), 2))
+        hold_rows(self, base_rotation=(base_rotation, 2))
 
     @property
     @abstractmethod

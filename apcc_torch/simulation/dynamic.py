@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from apcc_torch.control.composite_controller import CompositeController, CompositeState
 from apcc_torch.control.controller import APCCController
@@ -21,7 +21,7 @@ from apcc_torch.errors import ConfigError
 from apcc_torch.model.abscissae import decouple
 from apcc_torch.model.integrators import ArmState
 from apcc_torch.native.compiled import compiled
-from apcc_torch.part import hold_rows
+from apcc_torch.part import Part, hold_rows
 from apcc_torch.settings import check_setting
 from apcc_torch.simulation.plant import Plant, PlantState
 from apcc_torch.simulation.progress import Progress, quiet
@@ -94,7 +94,7 @@ class LoopState(NamedTuple):
     u: Tensor | None = None
 
 
-class ClosedLoop(nn.Module):
+class ClosedLoop(Part):
     """One control period of the closed loop, as one pure step: read the sensors, control, move the arm.
 
     Args:

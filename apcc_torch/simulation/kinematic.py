@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from apcc_torch.control.bounds import scaled_within
 from apcc_torch.control.controller import APCCController
@@ -15,8 +15,9 @@ from apcc_torch.errors import ValueRangeError
 from apcc_torch.linalg import damped_pseudo_inverse
 from apcc_torch.model.abscissae import decouple
 from apcc_torch.model.kinematic_model import KinematicModel
+from apcc_torch.modes import holds
 from apcc_torch.native.compiled import compiled
-from apcc_torch.part import hold_rows
+from apcc_torch.part import Part, hold_rows
 from apcc_torch.simulation.progress import Progress, quiet
 from apcc_torch.simulation.rollout import rollout
 
@@ -67,7 +68,7 @@ def start_configuration(
         q = q + scaled_within(step, 0.3)
     miss = (backbone.tip(q, L0) - x).norm(dim=-1)
     tolerance = max(1e-6, 100 * torch.finfo(L0.dtype).eps)
-    if not bool((miss < tolerance).all()):
+    if not holds(miss < tolerance):
         raise ValueRangeError(f"the start position is out of reach: missed by {float(miss.max()):g} m")
     return q
 
@@ -79,7 +80,7 @@ class ExactState(NamedTuple):
     pi_hat: Tensor
 
 
-class ExactLoop(nn.Module):
+class ExactLoop(Part):
     """One RK4 step of Eqs. (13)-(15), q being known.
 
     Args:
@@ -143,7 +144,7 @@ class FeedbackState(NamedTuple):
     controller: ControllerState
 
 
-class FeedbackLoop(nn.Module):
+class FeedbackLoop(Part):
     """One period of section V-A: sensors on the true arm, algorithm 2 and the law; qdot is followed for one period.
 
     Args:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from apcc_torch.control.pid import TendonPID, TendonReference
 from apcc_torch.errors import ConfigError
@@ -15,7 +15,7 @@ from apcc_torch.model.friction import TendonTransmission
 from apcc_torch.model.integrators import Actuation, ArmState, guard, semi_implicit_step
 from apcc_torch.model.tendons import TendonRouting
 from apcc_torch.native.compiled import compiled
-from apcc_torch.part import hold, hold_rows
+from apcc_torch.part import Part, hold, hold_rows
 from apcc_torch.settings import Setting, aligned, check_setting
 from apcc_torch.simulation.rollout import rollout
 
@@ -28,7 +28,7 @@ class PlantState(NamedTuple):
     diverged_at: Tensor
 
 
-class Plant(nn.Module):
+class Plant(Part):
     """The true arm and its tendon loop.
 
     Args:
@@ -160,7 +160,7 @@ class Plant(nn.Module):
         return PlantState(ArmState(q, q), z, torch.full(batch, -1, dtype=torch.int64, device=lengths.device))
 
 
-class PlantStep(nn.Module):
+class PlantStep(Part):
     """One step of an arm towards a reference of its tendons.
 
     Args:

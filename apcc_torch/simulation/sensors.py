@@ -5,11 +5,11 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from apcc_torch.errors import ValueRangeError
 from apcc_torch.lie import se3
-from apcc_torch.part import check_settings_or_zero, hold
+from apcc_torch.part import Part, check_settings_or_zero, hold
 from apcc_torch.settings import Setting, aligned, is_used
 from apcc_torch.shapes import check_tensor
 
@@ -27,7 +27,7 @@ class Draws(NamedTuple):
     chance: Tensor | None
 
 
-class PoseSensors(nn.Module):
+class PoseSensors(Part):
     """Turns true poses into measured ones.
 
     Args:
