@@ -112,6 +112,8 @@ def _slope(backbone: KinematicModel, mode: str, q: Tensor, problem: Problem) -> 
 class _FixedPoint(torch.autograd.Function):
     """Zero, the change of q; its gradient goes to F through the inverse of dF/dq, computed when it is asked for."""
 
+    generate_vmap_rule = True
+
     @staticmethod
     def forward(
         defect: Tensor, backbone: KinematicModel, mode: str, follows: Tensor, q: Tensor, *measured: Tensor
