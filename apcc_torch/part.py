@@ -19,9 +19,10 @@ from apcc_torch.settings import Kind, Settings, about_of, check_setting, default
 
 _TRAILING = {"": 0, "number": 0, "sections": 1, "points": 1, "gain": 2, "task": 2, "lists": 1}
 """How many dimensions of a setting that may differ from row to row are not rows'."""
-torch.serialization.add_safe_globals([nn.ModuleList])
 _BOOKKEEPING = frozenset({*vars(nn.Module()), "trailing_dimensions"})
 """What a module keeps for itself."""
+
+torch.serialization.add_safe_globals([nn.ModuleList])
 
 
 class Part(nn.Module):
@@ -47,14 +48,14 @@ class Part(nn.Module):
 
     def __init_subclass__(cls, **keywords: Any) -> None:
         super().__init_subclass__(**keywords)
-        own = cls.__dict__.get("settings_type")
-        if own is None and cls.settings_type is not Settings:
+        if "settings_type" not in cls.__dict__:
             # Settings say of which part they are, so a part that inherits them has its own.
-            inherited = cls.settings_type
-            own = cls.settings_type = type(inherited.__name__, (inherited,), {"__module__": cls.__module__})
-        if own is not None:
-            own.part = cls
-            cls.__signature__ = _signature(cls, own)  # type: ignore[attr-defined]
+            base = cls.settings_type
+            name = f"{cls.__name__}Settings" if base is Settings else base.__name__
+            place = {"__module__": cls.__module__, "__qualname__": f"{cls.__qualname__}.settings_type"}
+            cls.settings_type = type(name, (base,), {**place, "__doc__": base.__doc__})
+        cls.settings_type.part = cls
+        cls.__signature__ = _signature(cls, cls.settings_type)  # type: ignore[attr-defined]
         for name, method in list(vars(cls).items()):
             if inspect.isfunction(method) and not name.startswith("_"):
                 setattr(cls, name, full_precision(method))
@@ -67,6 +68,8 @@ class Part(nn.Module):
         self.derive()
 
     def _hold_one(self, name: str, value: Any, trailing: int) -> None:
+        if name in self._modules:
+            return  # nested settings, which the part of that name holds
         if isinstance(value, Tensor):
             hold_rows(self, **{name: (value, trailing)})
         elif name not in self.__dict__.get("trailing_dimensions", {}):  # else the constructor made a tensor of it
@@ -78,13 +81,13 @@ class Part(nn.Module):
     @property
     def settings(self) -> Settings:
         """The settings as they are now, tensors included."""
-        return type(self).settings_type(
-            **{each.name: getattr(self, each.name) for each in fields(type(self).settings_type)}
-        )
+        values = {each.name: getattr(self, each.name) for each in fields(type(self).settings_type)}
+        values = {name: value.settings if isinstance(value, Part) else value for name, value in values.items()}
+        return type(self).settings_type(**values)
 
     def extra_repr(self) -> str:
         """Every setting, for `print`; of a part without settings, its plain attributes."""
-        if type(self).settings_type is not Settings:
+        if fields(type(self).settings_type):
             return ", ".join(told(self.settings, everything=True))
         return ", ".join(f"{name}={value!r}" for name, value in self._plain().items() if not name.startswith("_"))
 
@@ -203,10 +206,9 @@ def row_tensors(module: nn.Module) -> dict[str, tuple[Tensor, int]]:
     return by_name
 
 
-def part_of(settings: Settings) -> type[Part]:
+def part_of(settings: Settings) -> Any:
     """The class that settings are of."""
-    part: type[Part] = type(settings).part  # type: ignore[attr-defined]
-    return part
+    return type(settings).part
 
 
 def _signature(cls: type[Part], kind: type[Kind]) -> inspect.Signature:

@@ -12,13 +12,13 @@ import difflib
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import MISSING, dataclass, field, fields
-from typing import Any, NamedTuple, Self, TypeVar
+from typing import Any, ClassVar, NamedTuple, Self, TypeVar
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from apcc_torch.errors import ConfigError, ValueRangeError
-from apcc_torch.modes import none_left, values_of
+from apcc_torch.modes import values_of
 
 Setting = float | Tensor
 """A number for all rows, or (...) numbers that broadcast with the leading dimensions of what they are used on."""
@@ -42,6 +42,7 @@ class About(NamedTuple):
     above, least, below, most: Range of every number in it, open and closed at the lower and at the upper end.
     choices: What a text may be; () for any.
     base: The class that a part named by `kind` has to be of; None where no part is named.
+    key: Whether files and command lines may set it too, or code alone.
     """
 
     unit: str = ""
@@ -55,6 +56,7 @@ class About(NamedTuple):
     most: float | None = None
     choices: tuple[str, ...] = ()
     base: type | None = None
+    key: bool = True
 
     def check(self, key: str, value: Any) -> None:
         """Raises ValueRangeError where a number, or one of those in lists and tensors, is out of range."""
@@ -111,6 +113,9 @@ class Settings:
         ValueRangeError: A number is out of its range.
     """
 
+    part: ClassVar[type[Any]]
+    """The class that they are of; see `Part`."""
+
     def __init_subclass__(cls) -> None:
         torch.serialization.add_safe_globals([cls])
 
@@ -146,6 +151,11 @@ def about_of(each: dataclasses.Field[Any]) -> About:
 def names(kind: type[Any]) -> tuple[str, ...]:
     """The fields of a dataclass."""
     return tuple(each.name for each in fields(kind))
+
+
+def keys(kind: type[Any]) -> tuple[dataclasses.Field[Any], ...]:
+    """The fields that files and command lines may set."""
+    return tuple(each for each in fields(kind) if about_of(each).key)
 
 
 def default_of(each: dataclasses.Field[Any]) -> Any:
@@ -267,9 +277,9 @@ def aligned(value: Value, extra: int) -> Value:
     return value[(..., *(None,) * extra)] if isinstance(value, Tensor) else value  # type: ignore[return-value]
 
 
-def is_used(value: Setting) -> bool:
-    """Whether a setting that zero turns off is on for any row; reads values, so for construction only."""
-    return not none_left(value > 0) if isinstance(value, Tensor) else value > 0
+def is_on(value: Setting) -> bool:
+    """Whether a setting that zero turns off is on: a number above zero. Rows with a tensor of them are all on."""
+    return isinstance(value, Tensor) or value > 0
 
 
 def spread(name: str, value: Numbers, n: int) -> Tensor:
@@ -287,6 +297,8 @@ def spread(name: str, value: Numbers, n: int) -> Tensor:
     if isinstance(value, Tensor):
         if value.dim() and value.shape[-1] != n:
             raise ConfigError(f"{name} must have {n} entries, got {value.shape[-1]}")
+        if isinstance(value, nn.Parameter) and not value.dim():
+            raise ConfigError(f"{name} is trained as {n} numbers: hand in nn.Parameter(torch.full(({n},), number))")
         return value if value.dim() else value.expand(n)
     if isinstance(value, Mapping):
         if set(value) != {"along"} or isinstance(value["along"], str) or not len(value["along"]):

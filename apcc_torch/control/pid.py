@@ -2,15 +2,31 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
 
 from apcc_torch.control.bounds import within
-from apcc_torch.part import Part, check_settings, check_settings_or_zero, hold
-from apcc_torch.settings import Setting, aligned
+from apcc_torch.part import Part
+from apcc_torch.settings import OURS, PAPER, Setting, Settings, aligned, resolved, setting
 from apcc_torch.shapes import check_same, check_tensor
+
+
+@dataclass(frozen=True, kw_only=True)
+class TendonPIDSettings(Settings):
+    """Settings of `TendonPID`."""
+
+    K_P: Setting = setting(750.0, "N/m", PAPER, "proportional gain", rows="number", least=0)
+    K_I: Setting = setting(1.0, "N/(m s)", PAPER, "integral gain", rows="number", least=0)
+    K_D: Setting = setting(5.0, "N s/m", PAPER, "derivative gain", rows="number", least=0)
+    force_limit: Setting | None = setting(
+        None, "N", OURS, "bound on each tendon's force; null: none", rows="number", above=0
+    )
+    integral_limit: Setting | None = setting(
+        None, "m s", OURS, "bound on the integral of the error; null: none", rows="number", above=0, key=False
+    )
 
 
 class TendonPID(Part):
@@ -20,36 +36,27 @@ class TendonPID(Part):
     tensor (...), one a row.
 
     Args:
-        K_P: N/m.
-        K_I: N/(m s).
-        K_D: N s/m.
-        force_limit: Bound on |u|, N; None for no bound.
-        integral_limit: Bound on |z|, m s; None for no bound.
+        *settings, **changes: See `TendonPIDSettings`.
 
     Raises:
-        ValueRangeError: A gain is negative, or a bound is not positive.
+        ValueRangeError: A setting is out of range.
+
+    Example:
+        >>> y = torch.tensor([0.001, 0.0])
+        >>> TendonPID(K_I=0.0, K_D=0.0)(0 * y, 0 * y, 0 * y, y, 0 * y)
+        tensor([0.7500, 0.0000])
     """
 
+    settings_type = TendonPIDSettings
     K_P: Setting
     K_I: Setting
     K_D: Setting
     force_limit: Setting | None
     integral_limit: Setting | None
 
-    def __init__(
-        self,
-        K_P: Setting = 750.0,
-        K_I: Setting = 1.0,
-        K_D: Setting = 5.0,
-        force_limit: Setting | None = None,
-        integral_limit: Setting | None = None,
-    ) -> None:
+    def __init__(self, *settings: Any, **changes: Any) -> None:
         super().__init__()
-        gains = {"K_P": K_P, "K_I": K_I, "K_D": K_D}
-        limits = {"force_limit": force_limit, "integral_limit": integral_limit}
-        check_settings_or_zero(**gains)
-        check_settings(**limits)
-        hold(self, **gains, **limits)
+        self.hold(resolved(TendonPIDSettings, settings, changes))
 
     def forward(
         self, z: Tensor, y: Tensor, ydot: Tensor, y_d: Tensor, ydot_d: Tensor, force: Tensor | None = None

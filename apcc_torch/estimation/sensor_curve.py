@@ -7,6 +7,9 @@ where only positions are, they are those of the cubic spline that leaves the bas
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import Any
+
 import torch
 from torch import Tensor
 
@@ -14,9 +17,25 @@ from apcc_torch.errors import ValueRangeError
 from apcc_torch.model.kinematic_model import Placed
 from apcc_torch.modes import holds
 from apcc_torch.part import Part, hold_rows
+from apcc_torch.settings import OURS, Settings, check_choice, resolved, setting
 from apcc_torch.shapes import check_finite, check_same, check_tensor
 
 TANGENTS = ("measured", "spline")
+
+
+@dataclass(frozen=True, kw_only=True)
+class SensorCurveSettings(Settings):
+    """Settings of `SensorCurve`."""
+
+    tangents: str | None = setting(
+        None, "", OURS, "measured, the sensors' axes; spline, from positions alone; null: as algorithm 2 sees them"
+    )
+    samples: int = setting(8, "", OURS, "points of the curve between two sensors", least=1)
+
+    def check(self) -> None:
+        """Raises where the tangents are unknown."""
+        if self.tangents is not None:
+            check_choice("tangents", self.tangents, TANGENTS)
 
 
 class SensorCurve(Part):
@@ -25,31 +44,41 @@ class SensorCurve(Part):
     Args:
         base_rotation: (3, 3) base of the arm in the world; the arm leaves the origin along its z axis.
         abscissae: (..., k) material abscissae of the sensors, m, increasing, the first beyond the base.
-        tangents: "measured", the sensors' z axes; "spline", from the positions alone.
-        samples: Points on each of the k pieces, the last of them on its sensor.
+        *settings, **changes: See `SensorCurveSettings`; without tangents they are measured.
 
     Raises:
-        ValueRangeError: A sensor lies on the base, the abscissae do not increase, or a setting is unknown.
+        ConfigError, ValueRangeError: A sensor lies on the base, the abscissae do not increase, or a setting is wrong.
+
+    Example:
+        >>> curve = SensorCurve(torch.eye(3), torch.tensor([0.2, 0.45]), samples=2)
+        >>> T = torch.eye(4).repeat(2, 1, 1)
+        >>> T[:, 2, 3] = torch.tensor([0.2, 0.45])
+        >>> curve(T)[:, 2]
+        tensor([0.1000, 0.2000, 0.3250, 0.4500])
     """
 
+    settings_type = SensorCurveSettings
+    tangents: str
+    samples: int
     base_rotation: Tensor
     ends: Tensor
     shares: Tensor
 
-    def __init__(self, base_rotation: Tensor, abscissae: Tensor, tangents: str = "measured", samples: int = 8) -> None:
+    def __init__(self, base_rotation: Tensor, abscissae: Tensor, *settings: Any, **changes: Any) -> None:
         super().__init__()
+        s = resolved(SensorCurveSettings, settings, changes)
         check_tensor("base_rotation", base_rotation, (3, 3))
         check_finite("abscissae", check_tensor("abscissae", abscissae, (None,)))
-        if tangents not in TANGENTS:
-            raise ValueRangeError(f"tangents must be one of {', '.join(TANGENTS)}, got {tangents!r}")
-        if samples < 1:
-            raise ValueRangeError(f"samples must be at least 1, got {samples}")
         if abscissae.shape[-1] == 0 or not holds(torch.nn.functional.pad(abscissae, (1, 0)).diff() > 0):
             raise ValueRangeError(f"abscissae must increase from beyond the base, got {abscissae.tolist()}")
-        self.tangents = tangents
-        share = torch.arange(1, samples + 1, dtype=abscissae.dtype, device=abscissae.device) / samples
-        self.register_buffer("shares", share)
         hold_rows(self, base_rotation=(base_rotation, 2), ends=(abscissae, 1))
+        self.hold(s.changed(tangents=s.tangents or "measured"))
+
+    def derive(self) -> None:
+        """Where on each piece its points lie."""
+        like, n = self.ends, self.samples
+        share = torch.arange(1, n + 1, dtype=like.dtype, device=like.device) / n
+        self.register_buffer("shares", share, persistent=False)
 
     @property
     def abscissae(self) -> Tensor:

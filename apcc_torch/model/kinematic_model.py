@@ -8,7 +8,8 @@ elongation delta L of a section adds to its rest length, so Y is the columns of 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import Protocol
+from dataclasses import fields
+from typing import Any, Protocol, Self
 
 import torch
 from torch import Tensor
@@ -20,6 +21,7 @@ from apcc_torch.model.coordinates import Coordinates
 from apcc_torch.model.tendons import TendonRouting
 from apcc_torch.modes import holds
 from apcc_torch.part import Part, hold_rows
+from apcc_torch.settings import Settings
 from apcc_torch.shapes import batch_shape, check_same, check_tensor
 
 
@@ -79,6 +81,12 @@ class KinematicModel(Part, ABC):
         self.n_sections = n_sections
         self.coordinates = coordinates
         hold_rows(self, base_rotation=(base_rotation, 2))
+
+    @classmethod
+    def on(cls, n_sections: int, base_rotation: Tensor, settings: Settings) -> Self:
+        """The model of so many sections on a base, with the settings of its class, if that has any."""
+        own: Any = [settings] if fields(settings) else []
+        return cls(n_sections, base_rotation, *own)
 
     @property
     @abstractmethod
