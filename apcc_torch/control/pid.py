@@ -2,33 +2,52 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from apcc_torch.control.bounds import within
-from apcc_torch.part import check_settings, check_settings_or_zero, hold
-from apcc_torch.settings import Setting, aligned
+from apcc_torch.part import Part
+from apcc_torch.settings import OURS, PAPER, Setting, Settings, aligned, resolved, setting
 from apcc_torch.shapes import check_same, check_tensor
 
 
-class TendonPID(nn.Module):
+@dataclass(frozen=True, kw_only=True)
+class TendonPIDSettings(Settings):
+    """Of `TendonPID`."""
+
+    K_P: Setting = setting(750.0, "N/m", PAPER, "tendon loop's proportional gain", rows="number", least=0)
+    K_I: Setting = setting(1.0, "N/(m s)", PAPER, "tendon loop's integral gain", rows="number", least=0)
+    K_D: Setting = setting(5.0, "N s/m", PAPER, "tendon loop's derivative gain", rows="number", least=0)
+    force_limit: Setting | None = setting(
+        None, "N", OURS, "bound on each tendon's force; null: none", rows="number", above=0
+    )
+    integral_limit: Setting | None = setting(
+        None, "m s", OURS, "bound on each tendon's integrated error; null: none", rows="number", above=0
+    )
+
+
+class TendonPID(Part):
     """u = K_P (y_d - y) + K_I z + K_D (ydot_d - ydot) with zdot = y_d - y. Section V-B [Dalenberg].
 
-    y is a tendon's length change and u the force conjugate to it, so tension is -u. Each number may also be a
-    tensor (...), one a row.
+    y is a tendon's length change and u the force conjugate to it, so tension is -u.
 
     Args:
-        K_P: N/m.
-        K_I: N/(m s).
-        K_D: N s/m.
-        force_limit: Bound on |u|, N; None for no bound.
-        integral_limit: Bound on |z|, m s; None for no bound.
+        settings: `TendonPIDSettings`, or its fields.
 
     Raises:
-        ValueRangeError: A gain is negative, or a bound is not positive.
+        ConfigError, ValueRangeError: A setting is unknown, of the wrong type or out of its range.
+
+    Example:
+        >>> pid = TendonPID(force_limit=5.0)
+        >>> still, y_d = torch.zeros(3), torch.tensor([0.001, 0.002, 0.01])
+        >>> pid(still, still, still, y_d, still)
+        tensor([0.7500, 1.5000, 5.0000])
     """
+
+    settings_type = TendonPIDSettings
 
     K_P: Setting
     K_I: Setting
@@ -36,20 +55,9 @@ class TendonPID(nn.Module):
     force_limit: Setting | None
     integral_limit: Setting | None
 
-    def __init__(
-        self,
-        K_P: Setting = 750.0,
-        K_I: Setting = 1.0,
-        K_D: Setting = 5.0,
-        force_limit: Setting | None = None,
-        integral_limit: Setting | None = None,
-    ) -> None:
+    def __init__(self, *given: Any, **changes: Any) -> None:
         super().__init__()
-        gains = {"K_P": K_P, "K_I": K_I, "K_D": K_D}
-        limits = {"force_limit": force_limit, "integral_limit": integral_limit}
-        check_settings_or_zero(**gains)
-        check_settings(**limits)
-        hold(self, **gains, **limits)
+        self.hold(resolved(TendonPIDSettings, given, changes))
 
     def forward(
         self, z: Tensor, y: Tensor, ydot: Tensor, y_d: Tensor, ydot_d: Tensor, force: Tensor | None = None
