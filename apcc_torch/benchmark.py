@@ -19,9 +19,9 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from apcc_torch.composition.benchmark import BenchmarkConfig, PairConfig
-from apcc_torch.composition.conf_path import conf_path
 from apcc_torch.composition.schema import SimulateConfig
 from apcc_torch.composition.typed import typed
+from apcc_torch.conf_path import conf_path
 from apcc_torch.errors import ApccError, ConfigError
 from apcc_torch.files import write_atomically
 from apcc_torch.paper import benchmark_run as paper

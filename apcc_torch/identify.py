@@ -12,9 +12,9 @@ from hydra.core.config_store import ConfigStore
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
-from apcc_torch.composition.conf_path import conf_path
 from apcc_torch.composition.identify import IdentifyConfig, arm_of
 from apcc_torch.composition.typed import typed
+from apcc_torch.conf_path import conf_path
 from apcc_torch.errors import ApccError
 from apcc_torch.experiments import identification
 

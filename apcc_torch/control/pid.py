@@ -16,7 +16,7 @@ from apcc_torch.shapes import check_same, check_tensor
 
 @dataclass(frozen=True, kw_only=True)
 class TendonPIDSettings(Settings):
-    """Of `TendonPID`."""
+    """Settings of `TendonPID`."""
 
     K_P: Setting = setting(750.0, "N/m", PAPER, "tendon loop's proportional gain", rows="number", least=0)
     K_I: Setting = setting(1.0, "N/(m s)", PAPER, "tendon loop's integral gain", rows="number", least=0)
@@ -35,10 +35,10 @@ class TendonPID(Part):
     y is a tendon's length change and u the force conjugate to it, so tension is -u.
 
     Args:
-        settings: `TendonPIDSettings`, or its fields.
+        *settings, **changes: See `TendonPIDSettings`. Each number may also be a tensor (...), one a row.
 
     Raises:
-        ConfigError, ValueRangeError: A setting is unknown, of the wrong type or out of its range.
+        ConfigError, ValueRangeError: A setting is unknown, or out of range.
 
     Example:
         >>> pid = TendonPID(force_limit=5.0)
@@ -55,9 +55,9 @@ class TendonPID(Part):
     force_limit: Setting | None
     integral_limit: Setting | None
 
-    def __init__(self, *given: Any, **changes: Any) -> None:
+    def __init__(self, *settings: Any, **changes: Any) -> None:
         super().__init__()
-        self.hold(resolved(TendonPIDSettings, given, changes))
+        self.hold(resolved(TendonPIDSettings, settings, changes))
 
     def forward(
         self, z: Tensor, y: Tensor, ydot: Tensor, y_d: Tensor, ydot_d: Tensor, force: Tensor | None = None

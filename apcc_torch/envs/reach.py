@@ -2,14 +2,24 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
+from apcc_torch.envs.simulator import SimulatorSettings
 from apcc_torch.envs.single_env import ArmEnv
+from apcc_torch.envs.tasks import Reach, ReachSettings
 from apcc_torch.envs.vector_env import ArmVectorEnv
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReachEnvSettings(SimulatorSettings, ReachSettings):
+    """Settings of `ReachEnv` and `ReachVectorEnv`."""
 
 
 class ReachVectorEnv(ArmVectorEnv):
     """Many arms; `ReachEnv` is the specification, `ArmVectorEnv` lists the arguments."""
 
-    task = "reach"
+    task = Reach
+    settings_type = ReachEnvSettings
 
 
 class ReachEnv(ArmEnv):

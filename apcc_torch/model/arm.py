@@ -12,6 +12,7 @@ import torch
 import yaml
 from torch import Tensor
 
+from apcc_torch.conf_path import conf_path
 from apcc_torch.errors import ConfigError, DataError, ValueRangeError
 from apcc_torch.files import write_atomically
 from apcc_torch.model.backbone import HANGING, PCCBackbone
@@ -20,7 +21,7 @@ from apcc_torch.model.kinematic_model import KinematicModel
 from apcc_torch.model.stiffness import scaled_stiffness
 from apcc_torch.model.tendons import TendonRouting, rack_routing
 from apcc_torch.reading import plain, read
-from apcc_torch.settings import OURS, PAPER, Setting, Settings, aligned, setting
+from apcc_torch.settings import OURS, PAPER, Setting, Settings, aligned, did_you_mean, setting
 
 STANDING = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 BASES = {"hanging": HANGING, "standing": STANDING}
@@ -164,12 +165,16 @@ class Arm(Settings):
     def load(path: str | Path) -> Arm:
         """Reads an arm's file, YAML with the fields of this class as keys.
 
+        Args:
+            path: The file; or the name of an arm that comes with the package in conf/arm, such as "arm_1", the paper's.
+
         Raises:
             DataError: The file cannot be read.
-            ConfigError, ValueRangeError: A key is unknown, or a value out of range.
+            ConfigError, ValueRangeError: There is no arm of that name, a key is unknown, or a value out of range.
         """
+        path = _file_of(path)
         try:
-            values = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
+            values = yaml.safe_load(path.read_text(encoding="utf-8"))
         except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
             raise DataError(f"{path}: cannot be read as an arm's file: {str(error).splitlines()[0]}") from error
         if not isinstance(values, dict):
@@ -182,6 +187,17 @@ class Arm(Settings):
     def save(self, path: str | Path) -> None:
         """Writes the arm as a file that `load` reads."""
         write_atomically(path, yaml.safe_dump(plain(self), sort_keys=False, default_flow_style=None))
+
+
+def _file_of(path: str | Path) -> Path:
+    """The file of an arm: what has neither folder nor suffix is a name in conf/arm."""
+    path = Path(path)
+    if path.suffix or len(path.parts) != 1:
+        return path
+    files = {file.stem: file for file in sorted(Path(conf_path(), "arm").glob("*.yaml"))}
+    if path.name not in files:
+        raise ConfigError(f"the package has no arm {path.name!r}{did_you_mean(path.name, files)}")
+    return files[path.name]
 
 
 def vector(values: Lengths) -> Tensor:

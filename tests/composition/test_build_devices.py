@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 from apcc_torch.composition.build_devices import dynamixel_settings, optitrack_settings, real_devices
-from apcc_torch.composition.conf_path import conf_path
 from apcc_torch.composition.hardware import CalibrationConfig, DynamixelConfig, OptiTrackConfig
+from apcc_torch.conf_path import conf_path
 from apcc_torch.errors import ConfigError
 from apcc_torch.hardware import drivers
 from apcc_torch.hardware.clock import MonotonicClock

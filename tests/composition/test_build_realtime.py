@@ -10,9 +10,9 @@ from hydra import compose, initialize_config_dir
 from hydra.core.config_store import ConfigStore
 
 from apcc_torch.composition.build_realtime import RealtimeBuilder
-from apcc_torch.composition.conf_path import conf_path
 from apcc_torch.composition.realtime import RealtimeConfig
 from apcc_torch.composition.typed import typed
+from apcc_torch.conf_path import conf_path
 from apcc_torch.control.trajectory import SetPoint, SineTrajectory
 from apcc_torch.errors import ApccError
 from apcc_torch.hardware.clock import MonotonicClock, VirtualClock

@@ -9,9 +9,9 @@ import torch
 from hydra import compose, initialize_config_dir
 from hydra.core.config_store import ConfigStore
 
-from apcc_torch.composition.conf_path import conf_path
 from apcc_torch.composition.identify import BlockConfig, IdentifyConfig, arm_of, layout, parameters, read
 from apcc_torch.composition.typed import typed
+from apcc_torch.conf_path import conf_path
 from apcc_torch.errors import ConfigError, DataError
 from apcc_torch.identification.series import Series
 

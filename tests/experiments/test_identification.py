@@ -14,9 +14,9 @@ from hydra import compose, initialize_config_dir
 from hydra.core.config_store import ConfigStore
 
 from apcc_torch.composition import identify as settings
-from apcc_torch.composition.conf_path import conf_path
 from apcc_torch.composition.identify import IdentifyConfig
 from apcc_torch.composition.typed import typed
+from apcc_torch.conf_path import conf_path
 from apcc_torch.experiments.identification import Task, compare, error, identified, without_friction
 from apcc_torch.identification.split import split, thinned
 from apcc_torch.identification.tendon_arm import TendonArm

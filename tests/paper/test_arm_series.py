@@ -12,8 +12,8 @@ from hydra import compose, initialize_config_dir
 from omegaconf import DictConfig
 
 from apcc_torch.composition.build_realtime import RealtimeBuilder
-from apcc_torch.composition.conf_path import conf_path
 from apcc_torch.composition.realtime import RealtimeConfig
+from apcc_torch.conf_path import conf_path
 from apcc_torch.errors import ConfigError
 from apcc_torch.experiments import realtime_run as realtime
 from apcc_torch.hardware.log_reader import read_log
