@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 import sys
 from contextlib import nullcontext
-from dataclasses import asdict
 from pathlib import Path
 
 import hydra
@@ -18,34 +17,35 @@ from hydra.errors import HydraException
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from apcc_torch.composition.benchmark import BenchmarkConfig, PairConfig
-from apcc_torch.composition.schema import SimulateConfig
-from apcc_torch.composition.typed import typed
+from apcc_torch.composition.benchmark import BenchmarkSettings, PairSettings
+from apcc_torch.composition.run_settings import SimulateSettings
+from apcc_torch.composition.schema import schema, typed
 from apcc_torch.conf_path import conf_path
 from apcc_torch.errors import ApccError, ConfigError
 from apcc_torch.files import write_atomically
 from apcc_torch.paper import benchmark_run as paper
+from apcc_torch.reading import plain
 
 log = logging.getLogger("apcc_torch.benchmark")
 
-ConfigStore.instance().store(name="benchmark_schema", node=BenchmarkConfig)
-ConfigStore.instance().store(name="simulate_schema", node=SimulateConfig)  # of the experiments it composes
+ConfigStore.instance().store(name="benchmark_schema", node=schema(BenchmarkSettings))
+ConfigStore.instance().store(name="simulate_schema", node=schema(SimulateSettings))  # of the experiments it composes
 
 
-def experiment(name: str, overrides: list[str]) -> SimulateConfig:
+def experiment(name: str, overrides: list[str]) -> SimulateSettings:
     """An experiment of apcc_torch.simulate with some of its settings changed. Hydra must be initialised.
 
     Raises:
         ConfigError: There is no such experiment, key or choice, or a value has the wrong type.
     """
     try:
-        return typed(compose("simulate", [f"experiment={name}", *overrides]), SimulateConfig)
+        return typed(compose("simulate", [f"experiment={name}", *overrides]), SimulateSettings)
     except (HydraException, OmegaConfBaseException) as error:
         changed = f" with {', '.join(overrides)}" if overrides else ""
         raise ConfigError(f"experiment {name}{changed}: {str(error).splitlines()[0]}") from error
 
 
-def pair(config: BenchmarkConfig, names: PairConfig) -> paper.Pair:
+def pair(config: BenchmarkSettings, names: PairSettings) -> paper.Pair:
     """Both controllers' settings of one run, cut to the grid.
 
     Raises:
@@ -57,7 +57,7 @@ def pair(config: BenchmarkConfig, names: PairConfig) -> paper.Pair:
     return paper.Pair(paper.on_grid(standard, config.grid, False), paper.on_grid(adaptive, config.grid, True))
 
 
-def compose_pairs(config: BenchmarkConfig) -> paper.Pairs:
+def compose_pairs(config: BenchmarkSettings) -> paper.Pairs:
     """The experiments' settings: comparison -> run -> both controllers'.
 
     Raises:
@@ -74,15 +74,15 @@ def compose_pairs(config: BenchmarkConfig) -> paper.Pairs:
 
 def run(cfg: DictConfig, folder: Path) -> str:
     """Runs the benchmark into `folder` and returns its table as text."""
-    config = typed(cfg, BenchmarkConfig)
+    config = typed(cfg, BenchmarkSettings)
     if config.threads is not None:
         torch.set_num_threads(config.threads)
     pairs = compose_pairs(config)
     settings = {
-        comparison: {name: {who: asdict(c) for who, c in both._asdict().items()} for name, both in runs.items()}
+        comparison: {name: {who: plain(c) for who, c in both._asdict().items()} for name, both in runs.items()}
         for comparison, runs in pairs.items()
     }
-    write_atomically(folder / "config.yaml", OmegaConf.to_yaml({"benchmark": asdict(config), "runs": settings}))
+    write_atomically(folder / "config.yaml", OmegaConf.to_yaml({"benchmark": plain(config), "runs": settings}))
     return paper.run(config, pairs, folder)
 
 

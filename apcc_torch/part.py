@@ -38,14 +38,14 @@ class Part(nn.Module):
 
     def __init_subclass__(cls, **keywords: Any) -> None:
         super().__init_subclass__(**keywords)
-        own = cls.__dict__.get("settings_type")
-        if own is None and cls.settings_type is not Settings:
+        if "settings_type" not in cls.__dict__:
             # Settings say of which part they are, so a part that inherits them has its own.
-            inherited = cls.settings_type
-            own = cls.settings_type = type(inherited.__name__, (inherited,), {"__module__": cls.__module__})
-        if own is not None:
-            own.part = cls
-            cls.__signature__ = _signature(cls, own)  # type: ignore[attr-defined]
+            base = cls.settings_type
+            name = f"{cls.__name__}Settings" if base is Settings else base.__name__
+            place = {"__module__": cls.__module__, "__qualname__": f"{cls.__qualname__}.settings_type"}
+            cls.settings_type = type(name, (base,), {**place, "__doc__": base.__doc__})
+        cls.settings_type.part = cls
+        cls.__signature__ = _signature(cls, cls.settings_type)  # type: ignore[attr-defined]
         torch.serialization.add_safe_globals([cls])
 
     def hold(self, settings: Settings) -> None:
@@ -55,6 +55,8 @@ class Part(nn.Module):
         self.derive()
 
     def _hold_one(self, name: str, value: Any, trailing: int) -> None:
+        if name in self._modules:
+            return  # nested settings, which the part of that name holds
         if isinstance(value, Tensor):
             hold_rows(self, **{name: (value, trailing)})
         elif name not in self.__dict__.get("trailing_dimensions", {}):  # else the constructor made a tensor of it
@@ -66,18 +68,18 @@ class Part(nn.Module):
     @property
     def settings(self) -> Settings:
         """The settings as they are now, tensors included."""
-        return type(self).settings_type(
-            **{each.name: getattr(self, each.name) for each in fields(type(self).settings_type)}
-        )
+        values = {each.name: getattr(self, each.name) for each in fields(type(self).settings_type)}
+        values = {name: value.settings if isinstance(value, Part) else value for name, value in values.items()}
+        return type(self).settings_type(**values)
 
     def extra_repr(self) -> str:
         """Every setting, for `print`."""
-        return "" if type(self).settings_type is Settings else ", ".join(told(self.settings, everything=True))
+        return ", ".join(told(self.settings, everything=True))
 
     def get_extra_state(self) -> dict[str, Any]:
         """The settings that are no tensors, for `state_dict`."""
         values = ((each.name, getattr(self, each.name)) for each in fields(type(self).settings_type))
-        return {name: value for name, value in values if not isinstance(value, Tensor)}
+        return {name: value for name, value in values if not isinstance(value, Tensor | nn.Module)}
 
     def set_extra_state(self, state: Mapping[str, Any]) -> None:
         """Takes them up again.
@@ -134,10 +136,9 @@ def row_tensors(module: nn.Module) -> dict[str, tuple[Tensor, int]]:
     return by_name
 
 
-def part_of(settings: Settings) -> type[Part]:
+def part_of(settings: Settings) -> Any:
     """The class that settings are of."""
-    part: type[Part] = type(settings).part  # type: ignore[attr-defined]
-    return part
+    return type(settings).part
 
 
 def _signature(cls: type[Part], kind: type[Kind]) -> inspect.Signature:

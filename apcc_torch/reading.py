@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import typing
 from collections.abc import Mapping, Sequence
-from dataclasses import MISSING, Field, fields, is_dataclass
+from dataclasses import MISSING, Field, is_dataclass
 from types import UnionType
 from typing import Any, TypeVar, Union, cast
 
 from apcc_torch.classes import Trust, class_named, name_of
 from apcc_torch.errors import ApccError, ConfigError
 from apcc_torch.part import part_of
-from apcc_torch.settings import Settings, about_of, default_of, did_you_mean, names
+from apcc_torch.settings import Settings, about_of, default_of, did_you_mean, keys
 
 Root = TypeVar("Root", bound=Settings)
 
@@ -23,7 +23,7 @@ def read(values: Mapping[str, Any], root: type[Root], key: str = "", trust: Trus
     """Settings of the class `root` from plain values; what is left out has its default.
 
     A field whose `About.base` is a class holds a part: its value is a mapping with `kind`, the part's class, and that
-    class's own settings. None stands for no part where the field allows it.
+    class's own settings. None, a `kind` of None and an empty mapping stand for no part, where the field allows it.
 
     Args:
         values: Nested mappings, as a file or a command line gives them.
@@ -37,12 +37,12 @@ def read(values: Mapping[str, Any], root: type[Root], key: str = "", trust: Trus
     """
     if not isinstance(values, Mapping):
         raise ConfigError(f"{key or 'the settings'} must hold keys and values, got {values!r}")
-    known = names(root)
+    known = [each.name for each in keys(root)]
     for name in values:
         if name not in known:
             raise ConfigError(f"{_join(key, str(name))} is no setting{did_you_mean(str(name), known)}")
     taken = {}
-    for each in fields(root):
+    for each in keys(root):
         at = _join(key, each.name)
         if each.name in values and values[each.name] != MUST:
             taken[each.name] = _value(values[each.name], each, root, at, trust)
@@ -62,12 +62,21 @@ def _made(kind: type[Root], taken: Mapping[str, Any], key: str) -> Root:
 def _value(value: Any, each: Field[Any], root: type[Settings], key: str, trust: Trust) -> Any:
     about, annotation = about_of(each), _types(root)[each.name]
     if about.base is not None:
-        return None if value is None else read_part(value, about.base, key, trust)
+        if value is None or (isinstance(value, Mapping) and value.get("kind", MUST if value else None) is None):
+            unread = [name for name in value or () if name != "kind"]
+            if unread:
+                raise ConfigError(
+                    f"{_join(key, unread[0])} is read by nothing: there is no {each.name} here, choose one"
+                )
+            return None
+        return read_part(value, about.base, key, trust)
     options = typing.get_args(annotation) if typing.get_origin(annotation) in (Union, UnionType) else (annotation,)
     nested = next((option for option in options if is_dataclass(option)), None)
     if value is None and type(None) in options:
         return None
     if nested is not None:
+        if type(None) in options and isinstance(value, Mapping) and not value:
+            return None  # a part that may be left out is there once it has a key
         return read(value, cast(type[Settings], nested), key, trust)
     for option in options:
         origin, inner = typing.get_origin(option), typing.get_args(option)
@@ -111,7 +120,7 @@ def plain(settings: Any) -> Any:
     """Settings as plain values that `read` takes: mappings, lists, numbers and texts."""
     if is_dataclass(settings) and not isinstance(settings, type):
         values = {}
-        for each in fields(settings):
+        for each in keys(type(settings)):
             value = getattr(settings, each.name)
             values[each.name] = plain(value)
             if about_of(each).base is not None and value is not None:
@@ -127,7 +136,7 @@ def plain(settings: Any) -> Any:
 def defaults(root: type[Settings]) -> dict[str, Any]:
     """The defaults of a `Settings` class as plain values; `MUST` where there is none."""
     values: dict[str, Any] = {}
-    for each in fields(root):
+    for each in keys(root):
         default = default_of(each)
         if default is MISSING:
             annotation = _types(root)[each.name]

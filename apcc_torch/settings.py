@@ -12,7 +12,7 @@ import difflib
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import MISSING, dataclass, field, fields
-from typing import Any, NamedTuple, Self, TypeVar
+from typing import Any, ClassVar, NamedTuple, Self, TypeVar
 
 import torch
 from torch import Tensor
@@ -41,6 +41,7 @@ class About(NamedTuple):
     above, least, below, most: Range of every number in it, open and closed at the lower and at the upper end.
     choices: What a text may be; () for any.
     base: The class that a part named by `kind` has to be of; None where no part is named.
+    key: Whether files and command lines may set it too, or code alone.
     """
 
     unit: str = ""
@@ -54,6 +55,7 @@ class About(NamedTuple):
     most: float | None = None
     choices: tuple[str, ...] = ()
     base: type | None = None
+    key: bool = True
 
     def check(self, key: str, value: Any) -> None:
         """Raises ValueRangeError where a number, or one of those in lists and tensors, is out of range."""
@@ -110,6 +112,9 @@ class Settings:
         ValueRangeError: A number is out of its range.
     """
 
+    part: ClassVar[type[Any]]
+    """The class that they are of; see `Part`."""
+
     def __post_init__(self) -> None:
         for each in fields(self):
             value = getattr(self, each.name)
@@ -142,6 +147,11 @@ def about_of(each: dataclasses.Field[Any]) -> About:
 def names(kind: type[Any]) -> tuple[str, ...]:
     """The fields of a dataclass."""
     return tuple(each.name for each in fields(kind))
+
+
+def keys(kind: type[Any]) -> tuple[dataclasses.Field[Any], ...]:
+    """The fields that files and command lines may set."""
+    return tuple(each for each in fields(kind) if about_of(each).key)
 
 
 def default_of(each: dataclasses.Field[Any]) -> Any:
@@ -263,9 +273,9 @@ def aligned(value: Value, extra: int) -> Value:
     return value[(..., *(None,) * extra)] if isinstance(value, Tensor) else value  # type: ignore[return-value]
 
 
-def is_used(value: Setting) -> bool:
-    """Whether a setting that zero turns off is on for any row; reads values, so for construction only."""
-    return bool((value > 0).any()) if isinstance(value, Tensor) else value > 0
+def is_on(value: Setting) -> bool:
+    """Whether a setting that zero turns off is on: a number above zero. Rows with a tensor of them are all on."""
+    return isinstance(value, Tensor) or value > 0
 
 
 def spread(name: str, value: Numbers, n: int) -> Tensor:

@@ -13,7 +13,8 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
 from omegaconf import DictConfig
 
-from apcc_torch.composition.schema import SimulateConfig
+from apcc_torch.composition.run_settings import SimulateSettings
+from apcc_torch.composition.schema import schema
 from apcc_torch.conf_path import conf_path
 from apcc_torch.errors import ApccError
 from apcc_torch.experiments.folder import metrics_text
@@ -25,7 +26,7 @@ from apcc_torch.sweeps.job import run_job
 
 log = logging.getLogger("apcc_torch.simulate")
 
-ConfigStore.instance().store(name="simulate_schema", node=SimulateConfig)
+ConfigStore.instance().store(name="simulate_schema", node=schema(SimulateSettings))
 
 
 @hydra.main(version_base="1.3", config_path=conf_path(), config_name="simulate")

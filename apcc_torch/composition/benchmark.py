@@ -1,55 +1,57 @@
-"""What `python -m apcc_torch.benchmark` can be set to, with its types. Values and meanings stand in conf/."""
+"""What `python -m apcc_torch.benchmark` can be set to."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
-from omegaconf import MISSING
+from apcc_torch.settings import OURS, Settings, setting
 
 
-@dataclass
-class PairConfig:
+@dataclass(frozen=True, kw_only=True)
+class PairSettings(Settings):
     """Experiments that a benchmark's run takes each controller's settings from."""
 
-    standard: str = MISSING
-    adaptive: str = MISSING
+    standard: str = setting(meaning="experiment of the standard controller")
+    adaptive: str = setting(meaning="experiment of the adaptive controller")
 
 
-@dataclass
-class ComparisonConfig:
+@dataclass(frozen=True, kw_only=True)
+class ComparisonSettings(Settings):
     """Runs under one idea of which settings to compare, and that idea in words."""
 
-    about: str = ""
-    runs: dict[str, PairConfig] = field(default_factory=dict)
+    about: str = setting("", meaning="the idea")
+    runs: dict[str, PairSettings] = setting(factory=dict, meaning="name: the experiments of its two controllers")
 
 
-@dataclass
-class GridConfig:
+@dataclass(frozen=True, kw_only=True)
+class GridSettings(Settings):
     """What the benchmark runs, and how much of each run."""
 
-    name: str = MISSING
-    comparisons: dict[str, ComparisonConfig] = field(default_factory=dict)
-    setpoints: int | None = None
-    payloads: list[float] | None = None
-    duration: float | None = None
+    name: str = setting(meaning="of the grid")
+    comparisons: dict[str, ComparisonSettings] = setting(factory=dict, meaning="name: runs under one idea")
+    setpoints: int | None = setting(None, "", OURS, "how many of each experiment's set-points; null: all")
+    payloads: tuple[float, ...] | None = setting(None, "kg", OURS, "instead of each experiment's; null: as they are")
+    duration: float | None = setting(None, "s", OURS, "instead of each experiment's; null: as it is", above=0)
 
 
-@dataclass
-class OverridesConfig:
-    """Overrides of the experiments' settings: of both controllers, and of one."""
+@dataclass(frozen=True, kw_only=True)
+class OverrideSettings(Settings):
+    """Settings of the experiments to change, as apcc_torch.simulate takes them."""
 
-    common: list[str] = field(default_factory=list)
-    standard: list[str] = field(default_factory=list)
-    adaptive: list[str] = field(default_factory=list)
+    common: tuple[str, ...] = setting((), meaning="for both controllers")
+    standard: tuple[str, ...] = setting((), meaning="for the standard controller alone")
+    adaptive: tuple[str, ...] = setting((), meaning="for the adaptive controller alone")
 
 
-@dataclass
-class BenchmarkConfig:
+@dataclass(frozen=True, kw_only=True)
+class BenchmarkSettings(Settings):
     """Root of `python -m apcc_torch.benchmark`."""
 
-    grid: GridConfig = field(default_factory=GridConfig)
-    experiments: OverridesConfig = field(default_factory=OverridesConfig)
-    workers: int = 2
-    threads: int | None = 1
-    figures: bool = True
-    progress: bool = True
+    grid: GridSettings = setting(meaning="what is run")
+    experiments: OverrideSettings = setting(factory=OverrideSettings, meaning="settings of the experiments to change")
+    workers: int = setting(2, "", OURS, "processes that share the grids", least=1)
+    threads: int | None = setting(
+        1, "", OURS, "a process's torch threads; small batches run fastest on one; null: torch's choice", least=1
+    )
+    figures: bool = setting(True, "", OURS, "draw the figures and the films")
+    progress: bool = setting(True, "", OURS, "show progress bars where there is a terminal")

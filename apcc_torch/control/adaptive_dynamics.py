@@ -21,15 +21,17 @@ does not increase, s goes to zero, and theta_hat converges in the directions tha
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from apcc_torch.errors import ValueRangeError
 from apcc_torch.linalg import solve_spd
 from apcc_torch.model.dynamics_regressor import PARAMETERS
-from apcc_torch.part import check_settings, check_settings_or_zero, hold_rows
+from apcc_torch.part import Part, hold_rows
+from apcc_torch.settings import OURS, Settings, resolved, setting
 from apcc_torch.shapes import check_finite, check_same, check_tensor
 
 
@@ -48,32 +50,59 @@ class DynamicsEstimate(NamedTuple):
     tau: Tensor
 
 
-class AdaptiveDynamics(nn.Module):
-    """The law of theta; see the module's head.
+@dataclass(frozen=True, kw_only=True)
+class AdaptiveDynamicsSettings(Settings):
+    """Settings of `AdaptiveDynamics`."""
+
+    tracking_gain: float = setting(1.0, "1/J", OURS, "g, what the tracking error counts", least=0)
+    prediction: bool = setting(True, "", OURS, "whether the prediction error counts")
+    filter_time: float = setting(
+        0.3, "s", OURS, "T_f, low-pass on forces and regressor, so that no acceleration is measured", above=0
+    )
+    memory: float = setting(2.0, "s", OURS, "T_m, over which the past counts; infinite for all of it")
+    torque_noise: float = setting(0.2, "N m", OURS, "deviation of forces that the model does not explain", above=0)
+    length: float = setting(0.1, "m", OURS, "by which a force counts as a torque", above=0)
+    dead_zone: float = setting(0.0, "N m", OURS, "prediction error up to which nothing is learnt from it", least=0)
+
+    def check(self) -> None:
+        """Raises where the memory is not positive."""
+        if not self.memory > 0:
+            raise ValueRangeError(f"memory must be positive, got {self.memory}")
+
+
+class AdaptiveDynamics(Part):
+    """The law of theta; see the module's head. Q is the inverse square of the torque noise, counted once a filter time.
 
     Args:
         nominal: (..., 5) first estimates, as `PARAMETERS`.
         deviation: (..., 5) how far off each may be: the square root of P_0. A parameter of deviation zero is known.
         lower: (..., 5) smallest values; None for zero, and a tenth of nominal for the rigidities.
         upper: (..., 5) largest values; None for no bounds.
-        tracking_gain: g, 1/J.
-        prediction: Whether the prediction error counts.
-        filter_time: T_f, s.
-        memory: T_m, s, over which the past counts; infinite for all of it.
-        torque_noise: Deviation of tau_f that the model does not explain, N m: Q is its inverse square, counted once a
-            filter time.
-        length: Metres by which a force in tau counts as a torque.
-        dead_zone: Prediction error, in N m, up to which nothing is learnt from it.
+        *settings, **changes: See `AdaptiveDynamicsSettings`.
 
     Raises:
         ShapeError: A tensor is not (..., 5).
         ValueRangeError: A setting is out of range, bounds cross, or the first estimate is not within them.
+
+    Example:
+        >>> nominal = torch.tensor([0.08, 10.0, 200.0, 0.0, 1.0])
+        >>> law = AdaptiveDynamics(nominal, torch.tensor([0.02, 3.0, 50.0, 0.3, 0.0]))
+        >>> law.initial_estimate(torch.zeros(9)).theta_hat
+        tensor([8.0000e-02, 1.0000e+01, 2.0000e+02, 0.0000e+00, 1.0000e+00])
     """
 
+    settings_type = AdaptiveDynamicsSettings
     nominal: Tensor
     deviation: Tensor
     lower: Tensor
     upper: Tensor
+    tracking_gain: float
+    prediction: bool
+    filter_time: float
+    memory: float
+    torque_noise: float
+    length: float
+    dead_zone: float
 
     def __init__(
         self,
@@ -81,13 +110,8 @@ class AdaptiveDynamics(nn.Module):
         deviation: Tensor,
         lower: Tensor | None = None,
         upper: Tensor | None = None,
-        tracking_gain: float = 0.0,
-        prediction: bool = True,
-        filter_time: float = 0.1,
-        memory: float = 2.0,
-        torque_noise: float = 0.05,
-        length: float = 0.1,
-        dead_zone: float = 0.0,
+        *settings: Any,
+        **changes: Any,
     ) -> None:
         super().__init__()
         p = len(PARAMETERS)
@@ -106,19 +130,8 @@ class AdaptiveDynamics(nn.Module):
             raise ValueRangeError("nominal must be between lower and upper, and lower below upper, for every parameter")
         if not bool((lower >= 0).all()):
             raise ValueRangeError("lower must not be negative: no parameter of the dynamics is")
-        check_settings(filter_time=filter_time, torque_noise=torque_noise, length=length)
-        check_settings_or_zero(tracking_gain=tracking_gain, dead_zone=dead_zone)
-        if not memory > 0:
-            raise ValueRangeError(f"memory must be positive, got {memory}")
-        hold_rows(self, nominal=(nominal.clone(), 1), deviation=(deviation.clone(), 1))
-        hold_rows(self, lower=(lower.clone(), 1), upper=(upper.clone(), 1))
-        self.tracking_gain = tracking_gain
-        self.prediction = prediction
-        self.filter_time = filter_time
-        self.memory = memory
-        self.torque_noise = torque_noise
-        self.length = length
-        self.dead_zone = dead_zone
+        self.hold(resolved(AdaptiveDynamicsSettings, settings, changes))
+        hold_rows(self, nominal=(nominal, 1), deviation=(deviation, 1), lower=(lower, 1), upper=(upper, 1))
         self._uncertain = [i for i in range(p) if bool((deviation[..., i] > 0).any())]
 
     def initial_estimate(self, q: Tensor) -> DynamicsEstimate:

@@ -6,22 +6,26 @@ both it is the composite controller that the paper leaves to further work.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
-from apcc_torch.control.adaptive_dynamics import AdaptiveDynamics, DynamicsEstimate
+from apcc_torch.control.adaptive_dynamics import AdaptiveDynamics, AdaptiveDynamicsSettings, DynamicsEstimate
 from apcc_torch.control.bounds import within
 from apcc_torch.control.controller import APCCController
 from apcc_torch.control.step_io import Command, ControllerState, Measurement, Target
 from apcc_torch.errors import ConfigError
 from apcc_torch.estimation.state_feedback import StateFeedback
 from apcc_torch.linalg import damped_pseudo_inverse
-from apcc_torch.model.dynamics_regressor import DynamicsRegressor
+from apcc_torch.model.backbone import PCCBackbone
+from apcc_torch.model.dynamics_regressor import PARAMETERS, DynamicsRegressor
 from apcc_torch.model.kinematic_model import KinematicModel
 from apcc_torch.model.tendons import TendonRouting
-from apcc_torch.part import check_settings, check_settings_or_zero
+from apcc_torch.part import Part
+from apcc_torch.settings import OURS, PAPER, names, resolved, setting
 from apcc_torch.shapes import check_tensor
 
 
@@ -58,7 +62,38 @@ class CompositeState(NamedTuple):
         return self.dynamics.theta_hat
 
 
-class CompositeController(nn.Module):
+@dataclass(frozen=True, kw_only=True)
+class CompositeControllerSettings(AdaptiveDynamicsSettings):
+    """Settings of `CompositeController`, with what is believed of the arm's dynamics and how its law learns them."""
+
+    adapts: bool = setting(True, "", OURS, "false: the feed-forward keeps what is believed")
+    bending_rigidity: float = setting(0.0778, "N m^2", PAPER, "E I believed: 0.778 N m/rad of 0.1 m", least=0)
+    axial_rigidity: float = setting(10.0, "N", PAPER, "E A believed: 100 N/m of 0.1 m", least=0)
+    tendon_damping: float = setting(200.0, "N s/m", OURS, "viscous friction of each tendon believed", least=0)
+    payload: float = setting(0.0, "kg", OURS, "at the tip believed", least=0)
+    mass: float = setting(1.0, "kg", PAPER, "of the arm believed", least=0)
+    bending_rigidity_deviation: float = setting(0.02, "N m^2", OURS, "how uncertain it is; 0: known", least=0)
+    axial_rigidity_deviation: float = setting(3.0, "N", OURS, "likewise", least=0)
+    tendon_damping_deviation: float = setting(50.0, "N s/m", OURS, "likewise", least=0)
+    payload_deviation: float = setting(0.3, "kg", OURS, "likewise", least=0)
+    mass_deviation: float = setting(0.0, "kg", OURS, "likewise", least=0)
+    lower: tuple[float, ...] | None = setting(
+        None, "", OURS, "five smallest values, in this order; null: zero, a tenth of the rigidities believed"
+    )
+    upper: tuple[float, ...] | None = setting(None, "", OURS, "five largest values; null: none")
+    damping_ratio: float = setting(0.1, "s", PAPER, "D = damping_ratio K: known", least=0)
+    stiffness: float = setting(3.0, "1/s", OURS, "Lambda of the reference velocity", least=0)
+    damping: float = setting(
+        0.0, "N m s/rad", OURS, "K_s on the bends and, over 1 m^2, on the elongations, beside the tendons' PID", least=0
+    )
+    reference_time: float = setting(0.1, "s", OURS, "low-pass on the rate of q_d", above=0)
+    force_limit: float | None = setting(None, "N", OURS, "bound on each tendon's feed-forward; null: none", above=0)
+    pseudo_damping: float = setting(
+        1e-3, "m/rad", OURS, "of the pseudo-inverse of B_hat, in the units of B", above=0, key=False
+    )
+
+
+class CompositeController(Part):
     """`APCCController` with a feed-forward u = B_hat(pi_hat)^+ (Y_d theta_hat - K_s s), added to the tendon loop.
 
     The references of Y_d come from q_d: its rate behind a low-pass, v, with that filter's own acceleration, both with
@@ -69,43 +104,47 @@ class CompositeController(nn.Module):
 
     Args:
         kinematic: Gives q_bar, qdot_bar, pi_hat, q_d. With a routing and a model of constant-curvature sections.
-        regressor: Y_d.
-        law: theta_hat.
-        stiffness: Lambda, 1/s.
-        damping: K_s on the bends, N m s/rad, and, over 1 m^2, on the elongations, N s/m.
-        reference_time: Time constant of the low-pass on the rate of q_d, s.
-        pseudo_damping: Damping of the pseudo-inverse of B_hat, in the units of B (m per rad, and 1).
-        force_limit: Bound on each tendon's feed-forward, N; None for no bound.
+        regressor: Y_d; None for that of the controller's tendons.
+        law: theta_hat; None for that of the settings.
+        *settings, **changes: See `CompositeControllerSettings`.
 
     Raises:
-        ConfigError: The controller has no routing.
+        ConfigError: The controller has no routing, or the model is none of constant-curvature sections.
         ValueRangeError: A setting is out of range.
+
+    Example:
+        >>> controller = CompositeController(APCCController.for_arm(Arm(lengths=[0.2, 0.25])), payload=0.1)
+        >>> controller.law.nominal
+        tensor([7.7800e-02, 1.0000e+01, 2.0000e+02, 1.0000e-01, 1.0000e+00],
+               dtype=torch.float64)
     """
+
+    settings_type = CompositeControllerSettings
+    stiffness: float
+    damping: float
+    reference_time: float
+    pseudo_damping: float
+    force_limit: float | None
 
     def __init__(
         self,
         kinematic: APCCController,
-        regressor: DynamicsRegressor,
-        law: AdaptiveDynamics,
-        stiffness: float = 1.0,
-        damping: float = 0.0,
-        reference_time: float = 0.1,
-        pseudo_damping: float = 1e-3,
-        force_limit: float | None = None,
+        regressor: DynamicsRegressor | None = None,
+        law: AdaptiveDynamics | None = None,
+        *settings: Any,
+        **changes: Any,
     ) -> None:
         super().__init__()
+        s = resolved(type(self).settings_type, settings, changes)
         if kinematic.routing is None:
             raise ConfigError("a controller with a model of the dynamics needs a tendon routing")
-        check_settings(reference_time=reference_time, pseudo_damping=pseudo_damping, force_limit=force_limit)
-        check_settings_or_zero(stiffness=stiffness, damping=damping)
+        if not isinstance(kinematic.backbone, PCCBackbone):
+            raise ConfigError("a feed-forward of the dynamics needs a model of constant-curvature sections, model=pcc")
         self.kinematic = kinematic
-        self.dynamics = regressor
-        self.law = law
-        self.stiffness = stiffness
-        self.damping = damping
-        self.reference_time = reference_time
-        self.pseudo_damping = pseudo_damping
-        self.force_limit = force_limit
+        base = kinematic.backbone.base_rotation
+        self.dynamics = DynamicsRegressor(kinematic.routing, base, s.damping_ratio) if regressor is None else regressor
+        self.law = _law(s) if law is None else law
+        self.hold(s)
 
     @property
     def backbone(self) -> KinematicModel:
@@ -172,3 +211,23 @@ class CompositeController(nn.Module):
             return torch.full_like(q, torch.nan)
         u = check_tensor("measurement.forces", measurement.forces, (B.shape[-1],))
         return (B @ u.unsqueeze(-1)).squeeze(-1)
+
+
+def _law(s: CompositeControllerSettings) -> AdaptiveDynamics:
+    """The law of theta; of a feed-forward one that moves nothing."""
+
+    def row(values: Sequence[float]) -> Tensor:
+        return torch.tensor([float(value) for value in values], dtype=torch.float64)
+
+    deviation = row([getattr(s, f"{name}_deviation") if s.adapts else 0.0 for name in PARAMETERS])
+    bounds = {}
+    for name, values in {"lower": s.lower, "upper": s.upper}.items():
+        if values is not None and len(values) != len(PARAMETERS):
+            raise ConfigError(f"{name} must have {len(PARAMETERS)} entries, got {len(values)}")
+        bounds[name] = None if values is None else row(values)
+    learning = {} if s.adapts else {"tracking_gain": 0.0, "prediction": False}
+    return AdaptiveDynamics(row([getattr(s, name) for name in PARAMETERS]), deviation, **bounds, **_own(s) | learning)
+
+
+def _own(s: CompositeControllerSettings) -> dict[str, Any]:
+    return {name: getattr(s, name) for name in names(AdaptiveDynamicsSettings)}

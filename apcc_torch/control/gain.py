@@ -3,25 +3,28 @@
 from __future__ import annotations
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
-from apcc_torch.errors import ValueRangeError
+from apcc_torch.errors import ShapeError, ValueRangeError
+from apcc_torch.settings import Numbers, spread
 from apcc_torch.shapes import check_finite, check_tensor
 
 
-def gain_matrix(name: str, gain: float | Tensor, n: int) -> Tensor:
+def gain_matrix(name: str, gain: Numbers, n: int) -> Tensor:
     """A positive definite gain as (..., n, n), float64 unless a tensor says otherwise.
 
     Args:
         name: The argument's name, for messages.
-        gain: A number or 0-d tensor (times the identity), a (n,) diagonal, or (..., n, n) matrices.
+        gain: A number or 0-d tensor (times the identity), a diagonal of n, see `spread`, or (..., n, n) matrices.
         n: Size.
 
     Raises:
-        ShapeError: The tensor's shape is none of these.
+        ConfigError, ShapeError: It is none of these; a Parameter is a matrix.
         ValueRangeError: Not finite, not symmetric, or not positive definite.
     """
-    value = gain if isinstance(gain, Tensor) else torch.tensor(float(gain), dtype=torch.float64)
+    if isinstance(gain, nn.Parameter) and gain.shape[-2:] != (n, n):
+        raise ShapeError(f"{name} is trained as a matrix: hand in nn.Parameter(gain * torch.eye({n}))")
+    value = gain if isinstance(gain, Tensor) else spread(name, gain, n)
     if value.dim() == 0:
         value = value * torch.eye(n, dtype=value.dtype, device=value.device)
     elif value.dim() == 1:
@@ -34,4 +37,4 @@ def gain_matrix(name: str, gain: float | Tensor, n: int) -> Tensor:
     lowest = float(torch.linalg.eigvalsh(number).amin())
     if lowest <= 0:
         raise ValueRangeError(f"{name} must be positive definite, its lowest eigenvalue is {lowest:g}")
-    return value.clone()
+    return value

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from apcc_torch.control.gain import gain_matrix
 from apcc_torch.linalg import damped_pseudo_inverse
 from apcc_torch.model.coordinates import CONSTANT_CURVATURE, Coordinates
-from apcc_torch.part import check_settings, check_settings_or_zero, hold, hold_rows
-from apcc_torch.settings import Setting, aligned, check_setting
+from apcc_torch.part import Part, hold_rows
+from apcc_torch.settings import OURS, PAPER, Numbers, Setting, Settings, aligned, resolved, setting, spread
 from apcc_torch.shapes import check_finite, check_same, check_tensor
 
 
@@ -45,35 +49,83 @@ def elongation_gradient(
     return coordinates.on_elongations(slope)
 
 
-class InverseKinematics(nn.Module):
+@dataclass(frozen=True, kw_only=True)
+class InverseKinematicsSettings(Settings):
+    """Settings of `InverseKinematics`."""
+
+    K: Numbers = setting(1.0, "1/s", PAPER, "task gain: a number, one for x, y and z, or a matrix", rows="task")
+    damping: Setting = setting(
+        1e-3, "m/rad", OURS, "of the pseudo-inverse; 0 for the exact one", rows="number", least=0, key=False
+    )
+    null_gain: Setting = setting(
+        0.2, "m/s", OURS, "weight of the elongation cost Psi in the null space", rows="number", least=0
+    )
+    epsilon: Setting = setting(5e-3, "m", OURS, "smoothing of Psi at zero elongation", rows="number", above=0)
+    bend_rate: Setting | None = setting(
+        None, "rad/s", OURS, "bound on the bends' rates; null: none", rows="number", above=0, key=False
+    )
+    length_rate: Setting | None = setting(
+        None, "m/s", OURS, "bound on the elongations' rates; null: none", rows="number", above=0, key=False
+    )
+    null_weights: Numbers | None = setting(
+        None, "", OURS, "how much each section's elongation counts in that Psi; null: alike", rows="sections", least=0
+    )
+    null_bends: Numbers | None = setting(
+        None, "1/s", OURS, "how fast each section's bend grows where the tip leaves it free; null: 0", rows="sections"
+    )
+    null_step: Setting | None = setting(
+        None,
+        "",
+        OURS,
+        "largest share of the elongations that one period takes away; null: no bound",
+        rows="number",
+        above=0,
+    )
+    null_speed: Setting | None = setting(
+        None,
+        "m/s",
+        OURS,
+        "tip speed with which the null-space term rests; null: it never does",
+        rows="number",
+        above=0,
+    )
+
+
+class InverseKinematics(Part):
     """qdot = J^+ (xdot_d + K e) + (I - J^+ J) grad_Psi. Eqs. (14), (16), remark 2 [Dalenberg].
 
-    Each number may also be a tensor (...), one a row.
+    Each number may also be a tensor (...), one a row. A row over a bound on its rates is scaled whole, which keeps the
+    direction of its task velocity.
+
+    grad_Psi is minus `null_gain` times the unit gradient of Psi, whose elongations `null_weights` weigh. With
+    `null_bends` beta it has beta_i d_i on the bends d_i of section i too: as far as the tip leaves it free, a section
+    with beta > 0 bends more and one with beta < 0 less.
+
+    With `null_speed` grad_Psi acts while the tip is to move, by |v|^2 / (|v|^2 + null_speed^2) of v = xdot_d + K e, and
+    rests with it. q_d is an integral: what a loaded arm does not follow adds up, for minutes, until the arm gives way
+    and the tip is lost.
+
+    With `null_step` the term is slowed for slow rates: near zero it decays at up to null_gain max(null_weights) /
+    epsilon, and held over a period it overshoots where that times the period comes near 1, and feeds back noise.
 
     Args:
-        K: Task gain, 1/s: a number, a (3,) diagonal or (..., 3, 3).
-        damping: Damping of the pseudo-inverse, m per rad: J^T (J J^T + damping^2 I)^-1. 0 for the exact one.
-        null_gain: Weight of the null-space term, m/s: grad_Psi is minus this times the unit gradient of Psi.
-        epsilon: Smoothing of Psi at dL = 0, m.
-        bend_rate: Bound on every angle's rate, rad/s; None for no bound. A row over a bound is scaled whole, which
-            keeps the direction of its task velocity.
-        length_rate: Bound on every length's rate, m/s; None for no bound.
+        *settings, **changes: See `InverseKinematicsSettings`.
         coordinates: What q is made of: the model's. Coordinates that are not driven get no velocity.
-        null_weights: (..., n_b) weights of the sections' elongations in the Psi that is lowered; None for 1, Eq. (50).
-        null_bends: (..., n_b) beta, 1/s: grad_Psi has beta_i d_i on the bends d_i of section i too. As far as the tip
-            leaves it free, a section with beta > 0 bends more and one with beta < 0 less; None for 0, Eq. (50).
-        null_speed: m/s. grad_Psi acts while the tip is to move, by |v|^2 / (|v|^2 + null_speed^2) of v = xdot_d + K e,
-            and rests with it. q_d is an integral: what a loaded arm does not follow adds up, for minutes, until the arm
-            gives way and the tip is lost. None for a term that lasts, Eq. (16).
-        null_step: Largest share of the elongations that one period takes away; None for no bound. Near zero the term
-            decays at up to null_gain max(null_weights) / epsilon, and held over a period it overshoots where that
-            times the period comes near 1: a slow rate then feeds back the sensors' noise. The term is scaled whole.
+        n_sections: n_b, for weights and bends that are one number for all sections, or a profile.
 
     Raises:
-        ShapeError: null_weights or null_bends has not one entry a section.
-        ValueRangeError: K is not positive definite, or a setting is negative (beta may be) or not finite.
+        ConfigError: null_weights or null_bends has not one entry a section.
+        ValueRangeError: K is not positive definite, or a setting is out of range.
+
+    Example:
+        >>> ik = InverseKinematics(K=2.0, null_gain=0.0)
+        >>> J = torch.eye(3, 9, dtype=torch.float64)
+        >>> e, still = torch.tensor([0.01, 0.0, 0.0]).double(), torch.zeros(3).double()
+        >>> ik(J, e, still, torch.zeros(9).double())[:3]
+        tensor([0.0200, 0.0000, 0.0000], dtype=torch.float64)
     """
 
+    settings_type = InverseKinematicsSettings
     K: Tensor
     damping: Setting
     null_gain: Setting
@@ -87,32 +139,20 @@ class InverseKinematics(nn.Module):
 
     def __init__(
         self,
-        K: float | Tensor = 1.0,
-        damping: Setting = 1e-3,
-        null_gain: Setting = 0.05,
-        epsilon: Setting = 5e-3,
-        bend_rate: Setting | None = None,
-        length_rate: Setting | None = None,
+        *settings: Any,
         coordinates: Coordinates = CONSTANT_CURVATURE,
-        null_weights: Tensor | None = None,
-        null_bends: Tensor | None = None,
-        null_step: Setting | None = None,
-        null_speed: Setting | None = None,
+        n_sections: int | None = None,
+        **changes: Any,
     ) -> None:
         super().__init__()
+        s = resolved(InverseKinematicsSettings, settings, changes)
         self.coordinates = coordinates
-        if null_weights is not None:
-            check_setting("null_weights", check_tensor("null_weights", null_weights, (None,)), zero=True)
-        if null_bends is not None:
-            check_finite("null_bends", check_tensor("null_bends", null_bends, (None,)))
-        K = gain_matrix("K", K, 3)
-        hold_rows(self, K=(K, 2), null_weights=(null_weights, 1), null_bends=(null_bends, 1))
-        weights = {"damping": damping, "null_gain": null_gain}
-        scales = {"epsilon": epsilon, "null_step": null_step, "null_speed": null_speed}
-        bounds = {"bend_rate": bend_rate, "length_rate": length_rate}
-        check_settings_or_zero(**weights)
-        check_settings(**scales, **bounds)
-        hold(self, **weights, **scales, **bounds)
+        self.hold(s)
+        hold_rows(self, K=(gain_matrix("K", s.K, 3), 2))
+        for name, value in {"null_weights": s.null_weights, "null_bends": s.null_bends}.items():
+            if value is not None:
+                size = n_sections or (len(value) if isinstance(value, Sequence) else 1)
+                hold_rows(self, **{name: (check_finite(name, spread(name, value, size)), 1)})
 
     def forward(self, J_hat: Tensor, e: Tensor, xdot_d: Tensor, q: Tensor, dt: Tensor | None = None) -> Tensor:
         """Configuration velocity qdot (..., n), rad/s and m/s.

@@ -9,20 +9,23 @@ adaptation by multiple models (Narendra and Balakrishnan 1997), of a cost that f
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
-from typing import NamedTuple
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from apcc_torch.control.bounds import scaled_within, within
+from apcc_torch.control.length_law import LawStep, LengthLaw
+from apcc_torch.control.residual_adaptation import curve_of
 from apcc_torch.errors import ConfigError, ValueRangeError
-from apcc_torch.estimation.sensor_curve import SensorCurve
+from apcc_torch.estimation.sensor_curve import SensorCurveSettings
 from apcc_torch.estimation.state_feedback import StateFeedback
 from apcc_torch.model.abscissae import located
 from apcc_torch.model.kinematic_model import KinematicModel
-from apcc_torch.part import check_settings, check_settings_or_zero, hold, hold_rows
-from apcc_torch.settings import Setting, aligned, is_used
+from apcc_torch.part import hold_rows
+from apcc_torch.settings import OURS, Setting, aligned, is_on, resolved, setting
 from apcc_torch.shapes import check_finite, check_tensor
 
 UNSEEN = 1.0
@@ -44,7 +47,48 @@ class BankEvidence(NamedTuple):
     turn: Tensor
 
 
-class LengthBank(nn.Module):
+@dataclass(frozen=True, kw_only=True)
+class LengthBankSettings(SensorCurveSettings):
+    """Settings of `LengthBank`."""
+
+    shares: Shares | Mapping[str, Shares] | Tensor = setting(
+        (0.4, 0.55, 0.7, 0.85, 1.0, 1.15),
+        "",
+        OURS,
+        "lengths tried, over the nominal ones: one list, or one a section but the last, which takes the rest",
+        rows="lists",
+    )
+    samples: int = setting(4, "", OURS, "points of the curve between two sensors", least=1)
+    elongation_weight: Setting = setting(
+        0.02, "", OURS, "mu, how much elongation weighs against distance", rows="number", least=0
+    )
+    nominal_weight: Setting = setting(0.002, "", OURS, "kappa, pull towards the first estimate", rows="number", least=0)
+    sharpness: Setting = setting(
+        0.3, "", OURS, "share by which a model may be worse than the best and still count", rows="number", least=0
+    )
+    resolution: Setting = setting(3e-5, "m", OURS, "distances that are alike", rows="number", above=0)
+    memory: Setting = setting(
+        2.0, "s", OURS, "over which a model's past costs count; 0: the last alone", rows="number", least=0, apart=True
+    )
+    time_constant: Setting = setting(
+        1.0, "s", OURS, "in which a step of the rest lengths is made", rows="number", above=0
+    )
+    rate: Setting = setting(0.3, "m/s", OURS, "largest speed of a parameter", rows="number", above=0)
+    stretch: Setting = setting(
+        0.0,
+        "",
+        OURS,
+        "how much of the model's compression the total length takes over",
+        rows="number",
+        least=0,
+        apart=True,
+    )
+    total_range: Setting = setting(
+        0.1, "", OURS, "how far the total length may fall, relative", rows="number", least=0, below=1
+    )
+
+
+class LengthBank(LengthLaw):
     """pi_hat_dot = (pi* - pi_hat) / tau, pi* the mean of the bank's rest lengths pi_m, weighed by
 
         w_m ~ exp(-(V_m - min V) / (sharpness min V + resolution^2)),
@@ -69,24 +113,22 @@ class LengthBank(nn.Module):
     Args:
         nominal: (..., n_b) pi_0, m.
         feedback: Algorithm 2, of the controller's own settings.
-        curve: Through the sensors.
-        shares: What the sections but the last are tried with, relative to their nominal lengths: one list for all, or
-            one a section; see `candidates`.
-        elongation_weight: mu.
-        nominal_weight: kappa.
-        sharpness: The share by which V may exceed the least and still count.
-        resolution: m, distances that are alike.
-        memory: s over which a model's past V count; 0 for the last alone.
-        time_constant: tau, s.
-        rate: Largest speed of a parameter, m/s. A row over it is scaled whole.
-        stretch: gamma.
-        total_range: How far the total length may fall below the nominal one, relative to it; below 1.
+        *settings, **changes: See `LengthBankSettings`.
 
     Raises:
-        ConfigError: There are fewer sensors than sections, or no combination of shares is left.
+        ConfigError: There are fewer sensors than sections, or no share but 1.
         ValueRangeError: A setting is out of range.
+
+    Example:
+        >>> nominal = torch.tensor([0.2, 0.25]).double()
+        >>> bank = LengthBank(nominal, StateFeedback(PCCBackbone(2), nominal.cumsum(0)), shares=[0.8, 1.0, 1.2])
+        >>> bank.candidates
+        tensor([[0.2000, 0.2500],
+                [0.1600, 0.2900],
+                [0.2400, 0.2100]], dtype=torch.float64)
     """
 
+    settings_type = LengthBankSettings
     nominal: Tensor
     candidates: Tensor
     elongation_weight: Setting
@@ -98,51 +140,25 @@ class LengthBank(nn.Module):
     rate: Setting
     stretch: Setting
     total_range: Setting
-    needs_sensitivity = False
 
-    def __init__(
-        self,
-        nominal: Tensor,
-        feedback: StateFeedback,
-        curve: SensorCurve,
-        shares: Shares = (0.4, 0.55, 0.7, 0.85, 1.0, 1.15),
-        elongation_weight: Setting = 0.02,
-        nominal_weight: Setting = 0.002,
-        sharpness: Setting = 0.3,
-        resolution: Setting = 3e-5,
-        memory: Setting = 2.0,
-        time_constant: Setting = 1.0,
-        rate: Setting = 0.3,
-        stretch: Setting = 0.0,
-        total_range: Setting = 0.1,
-    ) -> None:
+    def __init__(self, nominal: Tensor, feedback: StateFeedback, *settings: Any, **changes: Any) -> None:
         super().__init__()
-        positive = {"time_constant": time_constant, "rate": rate, "resolution": resolution}
-        weights = {
-            "elongation_weight": elongation_weight,
-            "nominal_weight": nominal_weight,
-            "sharpness": sharpness,
-            "memory": memory,
-            "stretch": stretch,
-            "total_range": total_range,
-        }
-        check_settings(**positive)
-        check_settings_or_zero(**weights)
-        if bool((torch.as_tensor(total_range) >= 1).any()):
-            raise ValueRangeError(f"total_range must be below 1, got {total_range}")
+        s = resolved(LengthBankSettings, settings, changes)
         check_finite("nominal", check_tensor("nominal", nominal, (None,)))
         self.feedback = feedback
-        self.curve = curve
-        hold(self, **positive, **weights)
-        self.remembers, self.stretches = is_used(memory), is_used(stretch)
-        hold_rows(self, nominal=(nominal.clone(), 1), candidates=(candidates(nominal, shares, feedback.abscissae), 2))
+        self.curve = curve_of(feedback, s)
+        self.hold(s)
+        models = candidates(nominal, lists_of(s.shares, nominal.shape[-1] - 1), feedback.abscissae)
+        hold_rows(self, nominal=(nominal, 1), candidates=(models, 2))
 
-    @property
-    def needs_orientations(self) -> bool:
-        """Whether the cost is made of measured orientations too."""
-        return self.curve.tangents == "measured"
+    def _hold_one(self, name: str, value: Any, trailing: int) -> None:
+        # The shares make the candidates; they are no tensor of the computation.
+        if name == "shares":
+            setattr(self, name, value)
+        else:
+            super()._hold_one(name, value, trailing)
 
-    def initial_evidence(self, q: Tensor, pi_hat: Tensor) -> BankEvidence:
+    def initial_memory(self, q: Tensor, pi_hat: Tensor) -> BankEvidence:
         """Nothing known yet, of the batch of q (..., n) and pi_hat (..., n_b); every model starts from q."""
         M = self.candidates.shape[-2]
         batch = torch.broadcast_shapes(q.shape[:-1], pi_hat.shape[:-1])
@@ -150,56 +166,39 @@ class LengthBank(nn.Module):
         turn = torch.zeros(batch, dtype=torch.int64, device=q.device)
         return BankEvidence(q.unsqueeze(-2).expand(*batch, M, q.shape[-1]), cost, turn)
 
-    def forward(
-        self,
-        backbone: KinematicModel,
-        q: Tensor,
-        pi: Tensor,
-        followed: Tensor | None,
-        T: Tensor,
-        abscissae: Tensor,
-        dt: Tensor,
-        seen: Tensor,
-        evidence: BankEvidence,
-    ) -> tuple[Tensor, BankEvidence]:
-        """pi_hat_dot (..., n_b), m/s, and the evidence after this visit; rows that are not seen or not finite stay.
+    def speed(self, step: LawStep, memory: BankEvidence) -> tuple[Tensor, BankEvidence]:
+        """See `LengthLaw.speed`; rows not all of whose sensors count, or that are not finite, stay.
 
-        Args:
-            backbone: The model.
-            q: (..., n) q_bar, whose elongations the total length follows.
-            followed, abscissae: Not used: the models of the bank have their own.
-            pi: (..., n_b) pi_hat, m.
-            T: (..., k, 4, 4) measured poses.
-            dt: (...) s since the last sample.
-            seen: (...) bool, rows all of whose sensors count.
-            evidence: From `initial_evidence` or the last step.
+        Visits one model. The models have their own q_bar; the total length follows the elongations of the controller's.
         """
+        backbone, pi, T, evidence = step.backbone, step.pi_hat, step.T, memory
+        complete = step.complete(self.curve.tangents == "measured")
         M = self.candidates.shape[-2]
         total = self._total(pi)
         models = self.candidates.to(pi).expand(*pi.shape[:-1], M, pi.shape[-1])
-        if self.stretches:
+        if is_on(self.stretch):
             models = models * total.unsqueeze(-1)
         chosen = torch.arange(M, device=pi.device) == evidence.turn.unsqueeze(-1)
         visited = torch.where(chosen.unsqueeze(-1), models, 0.0).sum(-2)
         seed = torch.where(chosen.unsqueeze(-1), evidence.q, 0.0).sum(-2)
         q_m = self.feedback(seed, visited, T).q_bar
         V = self.cost(backbone, q_m, visited, T)
-        if self.remembers:
+        if is_on(self.memory):
             before = torch.where(chosen, evidence.cost, 0.0).sum(-1)
-            V = torch.where(before < UNSEEN, torch.lerp(V, before, torch.exp(-M * dt / self.memory)), V)
-        good = seen & torch.isfinite(V)
+            V = torch.where(before < UNSEEN, torch.lerp(V, before, torch.exp(-M * step.dt / self.memory)), V)
+        good = complete & torch.isfinite(V)
         new = chosen & good.unsqueeze(-1)
         later = BankEvidence(
             torch.where(new.unsqueeze(-1), q_m.unsqueeze(-2), evidence.q),
             torch.where(new, V.unsqueeze(-1), evidence.cost),
-            torch.where(seen, torch.where(evidence.turn + 1 < M, evidence.turn + 1, 0), evidence.turn),
+            torch.where(complete, torch.where(evidence.turn + 1 < M, evidence.turn + 1, 0), evidence.turn),
         )
         low = later.cost.amin(-1, keepdim=True)
         sharpness, resolution = aligned(self.sharpness, 1), aligned(self.resolution, 1)
         weight = torch.exp((low - later.cost) / (sharpness * low + resolution**2)).unsqueeze(-1)
         best = (weight * models).sum(-2) / weight.sum(-2)
-        if self.stretches:
-            stretched = self._total(pi + q[..., backbone.coordinates.elongations])
+        if is_on(self.stretch):
+            stretched = self._total(pi + step.q_bar[..., backbone.coordinates.elongations])
             shorter = (aligned(self.stretch, 1) * (stretched - 1.0)).clamp(max=0.0)
             change = within(shorter, self.total_range)
             best = best * (1.0 + change) / total
@@ -221,46 +220,58 @@ class LengthBank(nn.Module):
         return lengths.sum(-1, keepdim=True) / self.nominal.to(lengths).sum(-1, keepdim=True)
 
 
-def candidates(nominal: Tensor, shares: Shares, abscissae: Tensor) -> Tensor:
+def candidates(nominal: Tensor, lists: Sequence[Tensor], abscissae: Tensor) -> Tensor:
     """(..., M, n_b) rest lengths, m: the nominal ones, then every combination of shares of all sections but the last.
 
     Left out are those with no length for the last section, and those that the sensors cannot tell: for every section
     there must be a sensor of its own in it or in the next one, as a spline needs a point for every knot (the condition
-    of Schoenberg and Whitney). Otherwise one section is bent at will and its neighbour unbends it.
+    of Schoenberg and Whitney). Otherwise one section is bent at will and its neighbour unbends it. Where nothing else
+    is left the nominal lengths are, and pi_hat stays there.
 
     Args:
         nominal: (..., n_b) m.
-        shares: Relative to a section's nominal length.
+        lists: Shares of each section but the last, relative to its nominal length, from `lists_of`.
         abscissae: (..., k) of the sensors, m, increasing.
 
     Raises:
-        ConfigError: There are fewer sensors than sections or one section alone, or no combination is left.
-        ValueRangeError: A share is not positive and finite, or there are not as many lists as sections but the last.
+        ConfigError: There are fewer sensors than sections, one section alone, or no share but 1.
     """
     n_b, k = nominal.shape[-1], abscissae.shape[-1]
     if k < n_b:
         raise ConfigError(f"a bank of models with {n_b} sections needs at least {n_b} sensors, got {k}")
-    lists = _lists(shares, n_b - 1)
     combinations = itertools.product(*(each.unbind(-1) for each in lists)) if lists else ()
     every = (torch.stack(torch.broadcast_tensors(*factors), dim=-1) for factors in combinations)
     others = [factors.to(nominal) for factors in every if bool((factors != 1.0).any())]
     if not others:
-        raise ConfigError(f"a bank needs two sections or more and shares other than 1, got {n_b} and {list(shares)}")
+        raise ConfigError(f"a bank needs two sections or more and shares other than 1, got {n_b} sections")
     combined = torch.stack(others, dim=-2)
     first = nominal.unsqueeze(-2)[..., :-1] * combined
     last = nominal.sum(-1)[..., None, None] - first.sum(-1, keepdim=True)
     made = torch.cat((first, last.expand(*first.shape[:-1], 1)), dim=-1)
     kept = (made[..., -1] > 0) & _told_apart(made, abscissae.to(nominal).unsqueeze(-2))
     kept = kept.reshape(-1, kept.shape[-1]).all(0)  # in every row, for rows share the number of models
-    if not bool(kept.any()):
-        raise ConfigError(f"shares must leave lengths that the sensors can tell, got {list(shares)}")
     return torch.cat((nominal.unsqueeze(-2).expand(*made.shape[:-2], 1, n_b), made[..., kept, :]), dim=-2)
 
 
-def _lists(shares: Shares, sections: int) -> list[Tensor]:
-    """The shares (..., c) of each of the sections."""
-    own = [entry for entry in shares if isinstance(entry, list | tuple | Tensor)]
-    alike = [entry for entry in shares if not isinstance(entry, list | tuple | Tensor)]
+def lists_of(shares: Shares | Mapping[str, Shares] | Tensor, sections: int) -> list[Tensor]:
+    """The shares (..., c) of each of `sections` sections; of several runs (P, 1, c), or (P, sections, c) of lists.
+
+    Raises:
+        ValueRangeError: A share is not positive and finite, or there are not as many lists as sections but the last.
+    """
+    if isinstance(shares, Tensor):
+        rows = list(shares.split(1, dim=-2))
+        return rows * sections if len(rows) == 1 else rows
+    if isinstance(shares, Mapping):
+        # A profile: each section takes the list of its place along the arm.
+        if set(shares) != {"along"}:
+            raise ConfigError(f"shares must be a list, lists, or {{along: lists}}, got {dict(shares)!r}")
+        m = len(shares["along"])
+        places = [min((2 * i + 1) * m // (2 * sections), m - 1) for i in range(sections)]
+        return lists_of([shares["along"][place] for place in places], sections)  # type: ignore[arg-type]
+    entries = list(shares)
+    own = [entry for entry in entries if isinstance(entry, list | tuple | Tensor)]
+    alike = [entry for entry in entries if not isinstance(entry, list | tuple | Tensor)]
     if own and (alike or len(own) != sections):
         raise ValueRangeError(f"shares must be one list of numbers, or {sections} lists, got {shares}")
     every = own or [alike] * sections

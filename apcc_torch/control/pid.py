@@ -18,37 +18,36 @@ from apcc_torch.shapes import check_same, check_tensor
 class TendonPIDSettings(Settings):
     """Settings of `TendonPID`."""
 
-    K_P: Setting = setting(750.0, "N/m", PAPER, "tendon loop's proportional gain", rows="number", least=0)
-    K_I: Setting = setting(1.0, "N/(m s)", PAPER, "tendon loop's integral gain", rows="number", least=0)
-    K_D: Setting = setting(5.0, "N s/m", PAPER, "tendon loop's derivative gain", rows="number", least=0)
+    K_P: Setting = setting(750.0, "N/m", PAPER, "proportional gain", rows="number", least=0)
+    K_I: Setting = setting(1.0, "N/(m s)", PAPER, "integral gain", rows="number", least=0)
+    K_D: Setting = setting(5.0, "N s/m", PAPER, "derivative gain", rows="number", least=0)
     force_limit: Setting | None = setting(
         None, "N", OURS, "bound on each tendon's force; null: none", rows="number", above=0
     )
     integral_limit: Setting | None = setting(
-        None, "m s", OURS, "bound on each tendon's integrated error; null: none", rows="number", above=0
+        None, "m s", OURS, "bound on the integral of the error; null: none", rows="number", above=0, key=False
     )
 
 
 class TendonPID(Part):
     """u = K_P (y_d - y) + K_I z + K_D (ydot_d - ydot) with zdot = y_d - y. Section V-B [Dalenberg].
 
-    y is a tendon's length change and u the force conjugate to it, so tension is -u.
+    y is a tendon's length change and u the force conjugate to it, so tension is -u. Each number may also be a
+    tensor (...), one a row.
 
     Args:
-        *settings, **changes: See `TendonPIDSettings`. Each number may also be a tensor (...), one a row.
+        *settings, **changes: See `TendonPIDSettings`.
 
     Raises:
-        ConfigError, ValueRangeError: A setting is unknown, or out of range.
+        ValueRangeError: A setting is out of range.
 
     Example:
-        >>> pid = TendonPID(force_limit=5.0)
-        >>> still, y_d = torch.zeros(3), torch.tensor([0.001, 0.002, 0.01])
-        >>> pid(still, still, still, y_d, still)
-        tensor([0.7500, 1.5000, 5.0000])
+        >>> y = torch.tensor([0.001, 0.0])
+        >>> TendonPID(K_I=0.0, K_D=0.0)(0 * y, 0 * y, 0 * y, y, 0 * y)
+        tensor([0.7500, 0.0000])
     """
 
     settings_type = TendonPIDSettings
-
     K_P: Setting
     K_I: Setting
     K_D: Setting

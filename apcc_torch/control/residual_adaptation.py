@@ -15,20 +15,21 @@ the residual, the elongations Psi that the model needs, and two priors, on the n
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from apcc_torch.control.bounds import scaled_within
-from apcc_torch.errors import ConfigError, ValueRangeError
-from apcc_torch.estimation.sensor_curve import SensorCurve
+from apcc_torch.control.length_law import LawStep, LengthLaw
+from apcc_torch.estimation.sensor_curve import SensorCurve, SensorCurveSettings
+from apcc_torch.estimation.state_feedback import StateFeedback
 from apcc_torch.lie import se3
 from apcc_torch.linalg import solve_spd
 from apcc_torch.model.abscissae import located
-from apcc_torch.model.kinematic_model import KinematicModel
-from apcc_torch.part import check_settings, check_settings_or_zero, hold, hold_rows
-from apcc_torch.settings import Setting, aligned, is_used
+from apcc_torch.part import hold_rows
+from apcc_torch.settings import OURS, Numbers, Setting, aligned, is_on, resolved, setting, spread
 from apcc_torch.shapes import check_finite, check_tensor
 
 TARGETS = ("curve", "sensors")
@@ -51,7 +52,46 @@ class Residual(NamedTuple):
     derivative: Tensor
 
 
-class ResidualLaw(nn.Module):
+@dataclass(frozen=True, kw_only=True)
+class ResidualLawSettings(SensorCurveSettings):
+    """Settings of `ResidualLaw`."""
+
+    target: str = setting(
+        "curve",
+        "",
+        OURS,
+        "curve, distances to a curve through the sensors; sensors, their own residuals",
+        choices=TARGETS,
+    )
+    angular_weight: Setting = setting(
+        0.0, "m/rad", OURS, "of target sensors; 0: positions alone", rows="number", least=0, apart=True
+    )
+    time_constant: Setting = setting(
+        10.0, "s", OURS, "in which a step of the rest lengths is made", rows="number", above=0
+    )
+    elongation_weight: Setting = setting(
+        0.0, "", OURS, "mu, how much elongation weighs against residual", rows="number", least=0
+    )
+    nominal_weight: Setting = setting(0.0, "", OURS, "kappa, pull towards the first estimate", rows="number", least=0)
+    total_weight: Setting = setting(
+        0.0, "", OURS, "sigma, pull of the total length towards the first estimate's", rows="number", least=0
+    )
+    damping: Setting = setting(
+        0.05, "m/m", OURS, "directions in which the residual moves less are followed slowly", rows="number", above=0
+    )
+    excitation: Setting = setting(
+        0.0, "m/m", OURS, "directions in which it moves less are not followed", rows="number", least=0, apart=True
+    )
+    memory: Setting = setting(
+        0.0, "s", OURS, "over which past residuals count; 0: the present one", rows="number", least=0, apart=True
+    )
+    rate: Setting = setting(0.1, "m/s", OURS, "largest speed of a parameter", rows="number", above=0)
+    gains: Numbers | None = setting(
+        None, "", OURS, "a factor on each section's speed; null: one", rows="sections", least=0
+    )
+
+
+class ResidualLaw(LengthLaw):
     """pi_hat_dot = (H + lambda^2 I)^-1 g / tau, a Gauss-Newton flow of V; see the module's head.
 
     Targets:
@@ -67,26 +107,23 @@ class ResidualLaw(nn.Module):
 
     Args:
         nominal: (..., n_b) pi_0, m.
-        target: "curve" or "sensors".
-        curve: For target "curve".
-        angular_weight: For target "sensors", metres that a radian counts as; 0 for positions alone.
-        time_constant: tau, s.
-        elongation_weight: mu.
-        nominal_weight: kappa.
-        total_weight: sigma.
-        damping: lambda, m/m: directions in which the residual moves by less per metre are followed slowly.
-        excitation: Directions of the data in which the residual moves by less than this, m/m, are not followed at all.
-        memory: s over which past residuals count; 0 for the present one alone.
-        rate: Largest speed of a parameter, m/s. A row over it is scaled whole.
-        gains: (..., n_b) factor on each section's speed; None for one.
+        feedback: Algorithm 2, of the controller's own settings.
+        *settings, **changes: See `ResidualLawSettings`.
 
     Raises:
-        ConfigError: The target needs a curve and has none.
-        ValueRangeError: A setting is out of range.
+        ConfigError, ValueRangeError: A setting is wrong or out of range.
+
+    Example:
+        >>> nominal = torch.tensor([0.2, 0.25]).double()
+        >>> law = ResidualLaw(nominal, StateFeedback(PCCBackbone(2), nominal.cumsum(0)), time_constant=1.0)
+        >>> law.initial_memory(torch.zeros(6).double(), nominal) is None
+        True
     """
 
+    settings_type = ResidualLawSettings
     nominal: Tensor
     gains: Tensor
+    target: str
     angular_weight: Setting
     time_constant: Setting
     elongation_weight: Setting
@@ -98,81 +135,38 @@ class ResidualLaw(nn.Module):
     rate: Setting
     needs_sensitivity = True
 
-    def __init__(
-        self,
-        nominal: Tensor,
-        target: str = "curve",
-        curve: SensorCurve | None = None,
-        angular_weight: Setting = 0.0,
-        time_constant: Setting = 0.3,
-        elongation_weight: Setting = 0.05,
-        nominal_weight: Setting = 0.02,
-        total_weight: Setting = 0.0,
-        damping: Setting = 0.05,
-        excitation: Setting = 0.0,
-        memory: Setting = 0.0,
-        rate: Setting = 0.1,
-        gains: Tensor | None = None,
-    ) -> None:
+    def __init__(self, nominal: Tensor, feedback: StateFeedback, *settings: Any, **changes: Any) -> None:
         super().__init__()
-        if target not in TARGETS:
-            raise ValueRangeError(f"target must be one of {', '.join(TARGETS)}, got {target!r}")
-        if target == "curve" and curve is None:
-            raise ConfigError("target curve needs a curve")
-        positive = {"time_constant": time_constant, "damping": damping, "rate": rate}
-        weights = {
-            "angular_weight": angular_weight,
-            "elongation_weight": elongation_weight,
-            "nominal_weight": nominal_weight,
-            "total_weight": total_weight,
-            "excitation": excitation,
-            "memory": memory,
-        }
-        check_settings(**positive)
-        check_settings_or_zero(**weights)
+        s = resolved(ResidualLawSettings, settings, changes)
         check_finite("nominal", check_tensor("nominal", nominal, (None,)))
-        gains = torch.ones_like(nominal) if gains is None else check_tensor("gains", gains, (nominal.shape[-1],))
-        if not bool((check_finite("gains", gains) >= 0).all()):
-            raise ValueRangeError(f"gains must be zero or positive, got {gains.tolist()}")
-        self.target = target
-        self.curve = curve
-        hold(self, **positive, **weights)
-        # Read once, for a compiled step has no branches on values.
-        self.oriented, self.monitored, self.remembers = (is_used(v) for v in (angular_weight, excitation, memory))
-        hold_rows(self, nominal=(nominal.clone(), 1), gains=(gains.clone(), 1))
+        self.hold(s)
+        self.curve = curve_of(feedback, s) if s.target == "curve" else None
+        gains = torch.ones_like(nominal) if s.gains is None else spread("gains", s.gains, nominal.shape[-1])
+        hold_rows(self, nominal=(nominal, 1), gains=(gains, 1))
 
     @property
-    def needs_orientations(self) -> bool:
+    def oriented(self) -> bool:
         """Whether the residual is made of measured orientations too."""
-        return self.oriented if self.curve is None else self.curve.tangents == "measured"
+        return is_on(self.angular_weight) if self.curve is None else self.curve.tangents == "measured"
 
-    def initial_evidence(self, q: Tensor, pi_hat: Tensor) -> Evidence | None:
+    def initial_memory(self, q: Tensor, pi_hat: Tensor) -> Evidence | None:
         """No evidence yet, of the batch of q (..., n) and pi_hat (..., n_b); None for a law without memory."""
-        if not self.remembers:
+        if not is_on(self.memory):
             return None
         n_b = pi_hat.shape[-1]
         pi_hat = pi_hat.expand(*torch.broadcast_shapes(q.shape[:-1], pi_hat.shape[:-1]), n_b)
         return Evidence(torch.diag_embed(torch.zeros_like(pi_hat)), torch.zeros_like(pi_hat))
 
-    def residual(
-        self, backbone: KinematicModel, q: Tensor, pi: Tensor, followed: Tensor, T: Tensor, abscissae: Tensor
-    ) -> Residual:
-        """The target's residual at (q, pi), all of one leading shape; unchecked.
-
-        Args:
-            backbone: The model.
-            q: (..., n) q_bar.
-            pi: (..., n_b) m.
-            followed: (..., n, n_b) dq_bar/dpi, from `StateFeedback.sensitivity`.
-            T: (..., k, 4, 4) measured poses.
-            abscissae: (k,) of the sensors, m.
-        """
-        X = (abscissae if self.curve is None else self.curve.abscissae).to(pi)
+    def residual(self, step: LawStep) -> Residual:
+        """The target's residual at (q_bar, pi_hat); unchecked."""
+        backbone, q, pi, dq_dpi, T = step.backbone, step.q_bar, step.pi_hat, step.dq_dpi, step.T
+        assert dq_dpi is not None  # asked for by `needs_sensitivity`
+        X = (step.abscissae if self.curve is None else self.curve.abscissae).to(pi)
         X = X.expand(*pi.shape[:-1], X.shape[-1])
         points = backbone.material_points(pi, *located(X, pi))
         chain = backbone.chain_to(q, points)
         body = chain.body_jacobian()
-        moved = body @ followed.unsqueeze(-3) + backbone.parameter_columns(q, pi, X, points, body)
+        moved = body @ dq_dpi.unsqueeze(-3) + backbone.parameter_columns(q, pi, X, points, body)
         if self.curve is None:
             twist = se3.log(se3.inverse(se3.pose(chain.rotation, chain.tip)) @ T)
             angular = aligned(self.angular_weight, 2)
@@ -181,59 +175,49 @@ class ResidualLaw(nn.Module):
             return Residual((twist * weight).flatten(-2), (moved * weight.unsqueeze(-1)).flatten(-3, -2))
         return Residual(self.curve.across(chain, T).flatten(-2), moved[..., 3:5, :].flatten(-3, -2))
 
-    def forward(
-        self,
-        backbone: KinematicModel,
-        q: Tensor,
-        pi: Tensor,
-        followed: Tensor,
-        T: Tensor,
-        abscissae: Tensor,
-        dt: Tensor,
-        seen: Tensor,
-        evidence: Evidence | None = None,
-    ) -> tuple[Tensor, Evidence | None]:
-        """pi_hat_dot (..., n_b), m/s, and the evidence after this sample; zero in rows that are not seen or not finite.
-
-        Args:
-            backbone, q, pi, followed, T, abscissae: As in `residual`.
-            dt: (...) s since the last sample.
-            seen: (...) bool, rows all of whose sensors count.
-            evidence: From `initial_evidence` or the last step.
-        """
-        r, A = self.residual(backbone, q, pi, followed, T, abscissae)
+    def speed(self, step: LawStep, memory: Evidence | None) -> tuple[Tensor, Evidence | None]:
+        """See `LengthLaw.speed`; zero in rows not all of whose sensors count, or that are not finite."""
+        r, A = self.residual(step)
         m = r.shape[-1]
         H, g = A.mT @ A / m, (A.mT @ r.unsqueeze(-1)).squeeze(-1) / m
-        good = seen & torch.isfinite(g).all(-1) & torch.isfinite(H).all(-1).all(-1)
+        good = step.complete(self.oriented) & torch.isfinite(g).all(-1) & torch.isfinite(H).all(-1).all(-1)
         H, g = torch.where(good[..., None, None], H, 0.0), torch.where(good[..., None], g, 0.0)
-        if evidence is not None:
-            keep = torch.exp(-dt / self.memory)
-            H = torch.lerp(H, evidence.information, keep[..., None, None])
-            g = torch.lerp(g, evidence.gradient, keep[..., None])
+        if memory is not None:
+            keep = torch.exp(-step.dt / self.memory)
+            H = torch.lerp(H, memory.information, keep[..., None, None])
+            g = torch.lerp(g, memory.gradient, keep[..., None])
         H_data, g_data = H, g
-        if self.monitored:
+        if is_on(self.excitation):
             values, directions = torch.linalg.eigh(H)
-            followed_ones = directions * (values > aligned(self.excitation, 1) ** 2).to(H.dtype).unsqueeze(-2)
-            g = (followed_ones @ (directions.mT @ g.unsqueeze(-1))).squeeze(-1)
-        step = self._step(backbone, H, g, q, pi, followed)
-        velocity = scaled_within(self.gains.to(pi) * step / aligned(self.time_constant, 1), self.rate)
+            excited = directions * (values > aligned(self.excitation, 1) ** 2).to(H.dtype).unsqueeze(-2)
+            g = (excited @ (directions.mT @ g.unsqueeze(-1))).squeeze(-1)
+        change = self._change(step, H, g)
+        velocity = scaled_within(self.gains.to(change) * change / aligned(self.time_constant, 1), self.rate)
         velocity = torch.where(good.unsqueeze(-1), velocity, 0.0)
-        if evidence is None:
+        if memory is None:
             return velocity, None
-        moved = (H_data @ (dt.unsqueeze(-1) * velocity).unsqueeze(-1)).squeeze(-1)
+        moved = (H_data @ (step.dt.unsqueeze(-1) * velocity).unsqueeze(-1)).squeeze(-1)
         return velocity, Evidence(H_data, g_data - moved)
 
-    def _step(self, backbone: KinematicModel, H: Tensor, g: Tensor, q: Tensor, pi: Tensor, followed: Tensor) -> Tensor:
+    def _change(self, step: LawStep, H: Tensor, g: Tensor) -> Tensor:
         """The damped Gauss-Newton step of V (..., n_b), m."""
+        q, pi, dq_dpi = step.q_bar, step.pi_hat, step.dq_dpi
+        assert dq_dpi is not None  # asked for by `needs_sensitivity`
         n_b = pi.shape[-1]
         weights = (self.elongation_weight, self.nominal_weight, self.total_weight, self.damping)
         mu2, kappa2, sigma2, lambda2 = (aligned(weight, 2) ** 2 for weight in weights)
         identity = torch.eye(n_b, dtype=pi.dtype, device=pi.device)
         short = self.nominal.to(pi) - pi
-        elongations = backbone.coordinates.elongations
-        stretched = followed[..., elongations, :]
+        elongations = step.backbone.coordinates.elongations
+        stretched = dq_dpi[..., elongations, :]
         H = H + mu2 * (stretched.mT @ stretched) + (kappa2 + lambda2) * identity + sigma2
         short = short.unsqueeze(-1)
         g = g.unsqueeze(-1) - mu2 * (stretched.mT @ q[..., elongations].unsqueeze(-1))
         g = g + kappa2 * short + sigma2 * short.sum(-2, keepdim=True)
         return solve_spd(H, g).squeeze(-1)
+
+
+def curve_of(feedback: StateFeedback, settings: SensorCurveSettings) -> SensorCurve:
+    """The curve through a controller's sensors, with their axes as tangents where algorithm 2 uses them too."""
+    tangents = settings.tangents or ("spline" if feedback.mode == "position" else "measured")
+    return SensorCurve(feedback.backbone.base_rotation, feedback.abscissae, tangents, settings.samples)

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import torch
 from torch import Tensor
 
-from apcc_torch.control.length_bank import BankEvidence
-from apcc_torch.control.residual_adaptation import Evidence
+from apcc_torch.control.length_law import Memory
 from apcc_torch.control.tasks import TaskTarget
 from apcc_torch.estimation.feedback import Feedback
 from apcc_torch.estimation.pose_filter import PoseFilterState
 from apcc_torch.estimation.savitzky_golay import SavitzkyGolayState
+from apcc_torch.shapes import batch_shape, check_same, check_tensor
 
 
 class Measurement(NamedTuple):
@@ -77,7 +78,7 @@ class ControllerState(NamedTuple):
     qdot: (..., 3 n_b) last commanded velocity.
     velocity_filter: State of the Savitzky-Golay filter.
     time: (...) stamp of the last measurement, s.
-    evidence: What a `ResidualLaw` with memory or a `LengthBank` remembers; None without one.
+    memories: What each law remembers, in their order.
     expected: Where a `PoseFilter` expects the sensors; None without one.
     integral: (..., 3) z of a `TaskIntegral`, m; None without one.
     """
@@ -89,6 +90,36 @@ class ControllerState(NamedTuple):
     qdot: Tensor
     velocity_filter: SavitzkyGolayState
     time: Tensor
-    evidence: Evidence | BankEvidence | None = None
+    memories: tuple[Memory, ...] = ()
     expected: PoseFilterState | None = None
     integral: Tensor | None = None
+
+
+def check_step(state: ControllerState, measurement: Measurement, target: Target, k: int) -> torch.Size:
+    """The leading shape of a step with k sensors; raises where its arguments do not fit each other."""
+    vectors = {"target.x_d": target.x_d, "target.xdot_d": target.xdot_d}
+    if measurement.tip is not None:
+        vectors["measurement.tip"] = measurement.tip
+    for name, vector in vectors.items():
+        check_tensor(name, vector, (3,))
+    check_tensor("measurement.T", measurement.T, (k, 4, 4))
+    check_tensor("measurement.time", measurement.time, ())
+    check_same(**{"state.q_bar": state.q_bar, "measurement.T": measurement.T, **vectors})
+    leading = {name: (vector, 1) for name, vector in vectors.items()}
+    leading |= {"measurement.T": (measurement.T, 3), "measurement.time": (measurement.time, 0)}
+    for name, mask in {"mask": measurement.mask, "angular_mask": measurement.angular_mask}.items():
+        if mask is not None:
+            leading[f"measurement.{name}"] = (mask, 1)
+    return batch_shape(**{"state.q_bar": (state.q_bar, 1), "state.pi_hat": (state.pi_hat, 1), **leading})
+
+
+def measured_tip(measurement: Measurement, x_hat: Tensor) -> tuple[Tensor, Tensor]:
+    """The end effector and whether it was measured; the model's where the measurement is masked or not finite."""
+    if measurement.tip is not None:
+        x, seen = measurement.tip, torch.isfinite(measurement.tip).all(-1)
+    else:
+        x = measurement.T[..., -1, :3, 3]
+        seen = torch.isfinite(x).all(-1)
+        if measurement.mask is not None:
+            seen = seen & measurement.mask[..., -1]
+    return torch.where(seen.unsqueeze(-1), x, x_hat), seen

@@ -2,14 +2,25 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import Any
+
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
-from apcc_torch.part import hold
-from apcc_torch.settings import Setting, aligned, check_setting
+from apcc_torch.part import Part
+from apcc_torch.settings import OURS, Setting, Settings, aligned, resolved, setting
 
 
-class TaskIntegral(nn.Module):
+@dataclass(frozen=True, kw_only=True)
+class TaskIntegralSettings(Settings):
+    """Settings of `TaskIntegral`."""
+
+    gain: Setting = setting(1.0, "1/s", OURS, "of the integral of the task error in K (e + z)", rows="number", least=0)
+    reach: Setting = setting(1e-3, "m", OURS, "errors much larger than this are not integrated", rows="number", above=0)
+
+
+class TaskIntegral(Part):
     """z in K (e + z) for the K e of Eq. (14):  zdot = gain e / (1 + (|e| / reach)^4).
 
     A soft arm creeps under its load, and a motion in the null space of a model that is wrong moves the tip: K e has to
@@ -20,21 +31,24 @@ class TaskIntegral(nn.Module):
     swings where gain > K / 4, and the arm's own lag leaves less than that.
 
     Args:
-        gain: 1/s, a number or (...) one a row.
-        reach: m, likewise.
+        *settings, **changes: See `TaskIntegralSettings`; each number may be a tensor (...), one a row.
 
     Raises:
-        ValueRangeError: The gain is negative, the reach not positive, or one is not finite.
+        ValueRangeError: A setting is out of range.
+
+    Example:
+        >>> z, e = torch.zeros(3), torch.tensor([1e-4, 0.0, 0.0])
+        >>> 1e6 * TaskIntegral(gain=2.0)(z, e, torch.tensor(0.01))
+        tensor([1.9998, 0.0000, 0.0000])
     """
 
+    settings_type = TaskIntegralSettings
     gain: Setting
     reach: Setting
 
-    def __init__(self, gain: Setting = 1.0, reach: Setting = 1e-3) -> None:
+    def __init__(self, *settings: Any, **changes: Any) -> None:
         super().__init__()
-        check_setting("gain", gain, zero=True)
-        check_setting("reach", reach)
-        hold(self, gain=gain, reach=reach)
+        self.hold(resolved(TaskIntegralSettings, settings, changes))
 
     def forward(self, z: Tensor, e: Tensor, dt: Tensor) -> Tensor:
         """z (..., 3), m, after dt (...) s with the error e (..., 3), m, as it was where e is not finite; unchecked."""

@@ -7,17 +7,17 @@ not bear. Here the poses first move as the model says that they do, and only wha
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
-from apcc_torch.errors import ValueRangeError
 from apcc_torch.lie import se3, so3
 from apcc_torch.model.abscissae import MaterialPoints
 from apcc_torch.model.kinematic_model import KinematicModel
-from apcc_torch.part import check_settings_or_zero, hold
-from apcc_torch.settings import Setting, aligned
+from apcc_torch.part import Part
+from apcc_torch.settings import OURS, Setting, Settings, aligned, resolved, setting
 
 LONG_AGO = 1e9
 """s since the last reading of a sensor that was never read."""
@@ -39,7 +39,23 @@ class PoseFilterState(NamedTuple):
     since: Tensor
 
 
-class PoseFilter(nn.Module):
+@dataclass(frozen=True, kw_only=True)
+class PoseFilterSettings(Settings):
+    """Settings of `PoseFilter`."""
+
+    angular_time: Setting = setting(
+        0.0, "s", OURS, "time constant of the orientations; 0: as measured", rows="number", least=0
+    )
+    linear_time: Setting = setting(
+        0.0, "s", OURS, "time constant of the positions; 0: as measured", rows="number", least=0
+    )
+    follow: Setting = setting(
+        0.8, "", OURS, "the share of its commanded motion that the arm makes at once", rows="number", least=0
+    )
+    delay: int = setting(0, "", OURS, "periods by which readings are late", least=0)
+
+
+class PoseFilter(Part):
     """Complementary filter of sensor poses: T = T_pred exp(alpha log(T_pred^-1 T_meas)), part by part, with
 
         T_pred <- T exp(follow J_s(q_bar, pi_hat) dq_d),    alpha = 1 - exp(-age / time).
@@ -54,29 +70,26 @@ class PoseFilter(nn.Module):
     on, and when it is measured again, the longer it was not, the less counts the prediction.
 
     Args:
-        angular_time: Time constant of the orientations, s; 0 for the measured ones.
-        linear_time: Of the positions, s; 0 for the measured ones.
-        follow: How much of its commanded motion the arm is taken to make at once; 1 for all of it.
-        delay: Periods by which a reading is late; 0 for a reading of now.
+        *settings, **changes: See `PoseFilterSettings`; each number but the delay may be a tensor (...), one a row.
 
     Raises:
-        ValueRangeError: A time or `follow` is negative or not finite, or `delay` is negative.
+        ValueRangeError: A setting is out of range.
+
+    Example:
+        >>> state = PoseFilter(delay=2).initial_state(torch.zeros(4, 9), k=3)
+        >>> state.T.shape, state.since.shape
+        (torch.Size([4, 3, 4, 4]), torch.Size([4, 2, 3, 4, 4]))
     """
 
+    settings_type = PoseFilterSettings
     angular_time: Setting
     linear_time: Setting
     follow: Setting
+    delay: int
 
-    def __init__(
-        self, angular_time: Setting = 0.05, linear_time: Setting = 0.0, follow: Setting = 0.8, delay: int = 0
-    ) -> None:
+    def __init__(self, *settings: Any, **changes: Any) -> None:
         super().__init__()
-        settings = {"angular_time": angular_time, "linear_time": linear_time, "follow": follow}
-        check_settings_or_zero(**settings)
-        if delay < 0:
-            raise ValueRangeError(f"delay must be zero or more periods, got {delay}")
-        hold(self, **settings)
-        self.delay = delay
+        self.hold(resolved(PoseFilterSettings, settings, changes))
 
     def initial_state(self, q: Tensor, k: int) -> PoseFilterState:
         """Before the first reading of k sensors, of the batch of q (..., n)."""

@@ -7,13 +7,15 @@ state, stamps may be uneven and samples may be missing.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from apcc_torch.errors import ShapeError, ValueRangeError
-from apcc_torch.settings import check_setting
+from apcc_torch.part import Part
+from apcc_torch.settings import OURS, Settings, resolved, setting
 from apcc_torch.shapes import batch_shape, check_same, check_tensor
 
 
@@ -124,7 +126,30 @@ def polynomial_weights(
     return [w / scale**m if m > 1 else w / scale if m else w for w, m in fitted]
 
 
-class SavitzkyGolay(nn.Module):
+@dataclass(frozen=True, kw_only=True)
+class SavitzkyGolaySettings(Settings):
+    """Settings of `SavitzkyGolay`."""
+
+    window: int | Tensor = setting(15, "samples", OURS, "N, the samples in the window", rows="number", least=1)
+    order: int = setting(2, "", OURS, "degree of the polynomial, less than the window", least=0)
+    derivative: int = setting(1, "", OURS, "which derivative, at most the order", least=0, key=False)
+    period: float | None = setting(
+        None, "s", OURS, "sampling period; null: the samples' own stamps", above=0, key=False
+    )
+
+    def check(self) -> None:
+        """Raises where the window is too short for the order, or the order for the derivative."""
+        if self.order < self.derivative:
+            raise ValueRangeError(f"order must be at least derivative = {self.derivative}, got {self.order}")
+        rows = isinstance(self.window, Tensor)
+        shortest = int(self.window.min()) if isinstance(self.window, Tensor) else self.window
+        if shortest < self.order + 1:
+            raise ValueRangeError(f"window must be at least order + 1 = {self.order + 1}, got {shortest}")
+        if self.period is not None and rows:
+            raise ValueRangeError("a window for each row needs the samples' own stamps: period must be None")
+
+
+class SavitzkyGolay(Part):
     """Derivative of the least-squares polynomial over the last N samples, at the newest time stamp.
 
     With fewer than order + 1 valid samples at distinct stamps the order drops to their number less one: one sample
@@ -138,47 +163,52 @@ class SavitzkyGolay(nn.Module):
     finite and not before the one before it.
 
     Args:
-        window: Number of samples N; or a tensor (...) of whole numbers, one a row, which needs `period` to be None.
-        order: Degree of the polynomial, less than `window`.
-        derivative: Which derivative, at most `order`.
-        period: Sampling period in s, or None to use the stamps.
+        *settings, **changes: See `SavitzkyGolaySettings`. A window may be a tensor (...) of whole numbers, one a row.
 
     Raises:
-        ValueRangeError: An argument is out of its range.
+        ValueRangeError: A setting is out of its range.
+
+    Example:
+        >>> derivative = SavitzkyGolay(window=5, order=2)
+        >>> state = derivative.initial_state(torch.zeros(1), torch.tensor(0.0))
+        >>> for k in range(5):
+        ...     state, rate = derivative(state, torch.tensor([0.1 * k]) ** 2, torch.tensor(0.1 * k))
+        >>> rate
+        tensor([0.8000])
     """
 
+    settings_type = SavitzkyGolaySettings
+    window: int | Tensor
+    order: int
+    derivative: int
+    period: float | None
     table: Tensor | None
     newest: Tensor | None
 
-    def __init__(self, window: int | Tensor, order: int, derivative: int = 1, period: float | None = None) -> None:
+    def __init__(self, *settings: Any, **changes: Any) -> None:
         super().__init__()
-        if derivative < 0:
-            raise ValueRangeError(f"derivative must be 0 or more, got {derivative}")
-        if order < derivative:
-            raise ValueRangeError(f"order must be at least derivative = {derivative}, got {order}")
-        shortest, longest = (int(window.min()), int(window.max())) if isinstance(window, Tensor) else (window, window)
-        if shortest < order + 1:
-            raise ValueRangeError(f"window must be at least order + 1 = {order + 1}, got {shortest}")
-        if period is not None and isinstance(window, Tensor):
-            raise ValueRangeError("a window for each row needs the samples' own stamps: period must be None")
-        if period is not None:
-            check_setting("period", period)
-        self.window, self.order, self.derivative, self.period = longest, order, derivative, period
+        self.hold(resolved(SavitzkyGolaySettings, settings, changes))
+
+    def _hold_one(self, name: str, value: Any, trailing: int) -> None:
+        # A window a row makes constants; it is no tensor of the computation.
+        setattr(self, name, value)
+
+    def derive(self) -> None:
+        """The buffer's length N, which of a row's samples are in its window, and the weights of even samples."""
+        window = self.window
+        self.length = int(window.max()) if isinstance(window, Tensor) else window
         # A row's shorter window is the newest part of the longest one.
-        age = torch.arange(longest - 1, -1, -1)
+        age = torch.arange(self.length - 1, -1, -1)
         newest = age.to(window.device) < window.unsqueeze(-1) if isinstance(window, Tensor) else None
         self.register_buffer("newest", newest, persistent=False)
         table = None
-        if period is not None:
+        if self.period is not None:
             # Row m of each table: coefficients while the buffer holds m samples.
-            times = period * torch.arange(1 - longest, 1, dtype=torch.float64)
-            filled = torch.ones(longest + 1, longest, dtype=torch.float64).tril(-1).flip(-1)
-            rows = polynomial_weights(times.expand_as(filled), filled, order, (derivative, 0))
+            times = self.period * torch.arange(1 - self.length, 1, dtype=torch.float64)
+            filled = torch.ones(self.length + 1, self.length, dtype=torch.float64).tril(-1).flip(-1)
+            rows = polynomial_weights(times.expand_as(filled), filled, self.order, (self.derivative, 0))
             table = torch.stack(rows)
         self.register_buffer("table", table, persistent=False)
-
-    def extra_repr(self) -> str:
-        return f"window={self.window}, order={self.order}, derivative={self.derivative}, period={self.period}"
 
     def initial_state(self, sample: Tensor, time: Tensor) -> SavitzkyGolayState:
         """An empty buffer that fits `sample`; the sample itself is not put in.
@@ -191,9 +221,9 @@ class SavitzkyGolay(nn.Module):
         check_tensor("time", time, ())
         batch = batch_shape(sample=(sample, 1), time=(time, 0))
         return SavitzkyGolayState(
-            sample.new_zeros((*batch, self.window, sample.shape[-1])),
-            time.detach().expand(batch).unsqueeze(-1).repeat(*[1] * len(batch), self.window),
-            torch.zeros((*batch, self.window), dtype=torch.bool, device=sample.device),
+            sample.new_zeros((*batch, self.length, sample.shape[-1])),
+            time.detach().expand(batch).unsqueeze(-1).repeat(*[1] * len(batch), self.length),
+            torch.zeros((*batch, self.length), dtype=torch.bool, device=sample.device),
         )
 
     def push(

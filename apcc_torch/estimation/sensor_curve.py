@@ -7,47 +7,72 @@ where only positions are, they are those of the cubic spline that leaves the bas
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import Any
+
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from apcc_torch.errors import ValueRangeError
 from apcc_torch.model.kinematic_model import Placed
-from apcc_torch.part import hold_rows
+from apcc_torch.part import Part, hold_rows
+from apcc_torch.settings import OURS, Settings, check_choice, resolved, setting
 from apcc_torch.shapes import check_finite, check_same, check_tensor
 
 TANGENTS = ("measured", "spline")
 
 
-class SensorCurve(nn.Module):
+@dataclass(frozen=True, kw_only=True)
+class SensorCurveSettings(Settings):
+    """Settings of `SensorCurve`."""
+
+    tangents: str | None = setting(
+        None, "", OURS, "measured, the sensors' axes; spline, from positions alone; null: as algorithm 2 sees them"
+    )
+    samples: int = setting(8, "", OURS, "points of the curve between two sensors", least=1)
+
+    def check(self) -> None:
+        """Raises where the tangents are unknown."""
+        if self.tangents is not None:
+            check_choice("tangents", self.tangents, TANGENTS)
+
+
+class SensorCurve(Part):
     """Points on the curve through the base and k sensors.
 
     Args:
         base_rotation: (3, 3) base of the arm in the world; the arm leaves the origin along its z axis.
         abscissae: (..., k) material abscissae of the sensors, m, increasing, the first beyond the base.
-        tangents: "measured", the sensors' z axes; "spline", from the positions alone.
-        samples: Points on each of the k pieces, the last of them on its sensor.
+        *settings, **changes: See `SensorCurveSettings`; without tangents they are measured.
 
     Raises:
-        ValueRangeError: A sensor lies on the base, the abscissae do not increase, or a setting is unknown.
+        ConfigError, ValueRangeError: A sensor lies on the base, the abscissae do not increase, or a setting is wrong.
+
+    Example:
+        >>> curve = SensorCurve(torch.eye(3), torch.tensor([0.2, 0.45]), samples=2)
+        >>> T = torch.eye(4).repeat(2, 1, 1)
+        >>> T[:, 2, 3] = torch.tensor([0.2, 0.45])
+        >>> curve(T)[:, 2]
+        tensor([0.1000, 0.2000, 0.3250, 0.4500])
     """
 
+    settings_type = SensorCurveSettings
+    tangents: str
+    samples: int
     base_axis: Tensor
     abscissae: Tensor
     shares: Tensor
 
-    def __init__(self, base_rotation: Tensor, abscissae: Tensor, tangents: str = "measured", samples: int = 8) -> None:
+    def __init__(self, base_rotation: Tensor, abscissae: Tensor, *settings: Any, **changes: Any) -> None:
         super().__init__()
+        s = resolved(SensorCurveSettings, settings, changes)
         check_tensor("base_rotation", base_rotation, (3, 3))
         check_finite("abscissae", check_tensor("abscissae", abscissae, (None,)))
-        if tangents not in TANGENTS:
-            raise ValueRangeError(f"tangents must be one of {', '.join(TANGENTS)}, got {tangents!r}")
-        if samples < 1:
-            raise ValueRangeError(f"samples must be at least 1, got {samples}")
         ends = torch.nn.functional.pad(abscissae, (1, 0))
         if abscissae.shape[-1] == 0 or bool((ends.diff() <= 0).any()):
             raise ValueRangeError(f"abscissae must increase from beyond the base, got {abscissae.tolist()}")
-        self.tangents = tangents
-        share = torch.arange(1, samples + 1, dtype=abscissae.dtype, device=abscissae.device) / samples
+        self.hold(s.changed(tangents=s.tangents or "measured"))
+        share = torch.arange(1, s.samples + 1, dtype=abscissae.dtype, device=abscissae.device) / s.samples
         self.register_buffer("base_axis", base_rotation[:, 2].clone())
         self.register_buffer("shares", share)
         between = ends[..., :-1, None] + ends.diff().unsqueeze(-1) * share

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import Any
+
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from apcc_torch.errors import DtypeError, ShapeError, ValueRangeError
 from apcc_torch.estimation.feedback import Feedback, FeedbackStatus, Inference
@@ -13,15 +16,62 @@ from apcc_torch.estimation.iteration import Rules, iterate
 from apcc_torch.estimation.step import Residual, damped_step, row_weights
 from apcc_torch.model.abscissae import MaterialPoints, located
 from apcc_torch.model.kinematic_model import KinematicModel, Placed
-from apcc_torch.part import check_settings, hold, hold_rows
-from apcc_torch.settings import Setting, aligned
+from apcc_torch.part import Part, hold_rows
+from apcc_torch.settings import OURS, PAPER, Setting, Settings, aligned, resolved, setting
 from apcc_torch.shapes import batch_shape, check_finite, check_same, check_tensor
 
 MODES = ("position", "pose", "hierarchical")
 GRADIENTS = ("implicit", "unrolled")
 
 
-class StateFeedback(nn.Module):
+@dataclass(frozen=True, kw_only=True)
+class StateFeedbackSettings(Settings):
+    """Settings of `StateFeedback`."""
+
+    mode: str = setting(
+        "pose",
+        "",
+        PAPER,
+        "position, Eq. (32); pose, Eqs. (28)-(31); hierarchical, positions first and orientations in their null space",
+        choices=MODES,
+    )
+    angular_weight: Setting = setting(
+        1.0, "m/rad", PAPER, "metres that one radian counts as; 0.1 fits positions far better", rows="number", above=0
+    )
+    max_iterations: int = setting(7, "", PAPER, "largest number of steps, N", least=1)
+    min_iterations: int = setting(
+        1, "", OURS, "steps taken even within the thresholds: slow motion is not quantised", least=0, key=False
+    )
+    linear_threshold: Setting = setting(1e-4, "m", PAPER, "error that ends the iteration", rows="number", above=0)
+    angular_threshold: Setting = setting(5e-3, "rad", PAPER, "error that ends the iteration", rows="number", above=0)
+    bend_step: Setting = setting(
+        0.6, "rad", OURS, "largest change of a bend in one step", rows="number", above=0, key=False
+    )
+    length_step: Setting = setting(
+        0.1, "m", OURS, "largest change of an elongation in one step", rows="number", above=0, key=False
+    )
+    damping: Setting = setting(
+        1e-8, "m^2", OURS, "first Levenberg-Marquardt damping", rows="number", above=0, key=False
+    )
+    settled_step: Setting = setting(
+        5e-6, "rad, m", OURS, "a smaller step is the row's last", rows="number", least=0, key=False
+    )
+    gradient: str = setting(
+        "implicit",
+        "",
+        OURS,
+        "implicit, of the fixed point; unrolled, through every step in reverse mode",
+        choices=GRADIENTS,
+        key=False,
+    )
+
+    def check(self) -> None:
+        """Raises where the least number of iterations is above the largest."""
+        if self.min_iterations > self.max_iterations:
+            raise ValueRangeError(f"min_iterations must be at most max_iterations, got {self.min_iterations}")
+
+
+class StateFeedback(Part):
     """Decoupled state feedback. Algorithm 2, Eqs. (27)-(32), remark 4 [Dalenberg].
 
     Each iteration is a Levenberg-Marquardt step with a bound on its length: plain Gauss-Newton, Eq. (31), diverges on
@@ -42,25 +92,27 @@ class StateFeedback(nn.Module):
     Args:
         backbone: The model.
         abscissae: (..., k) material abscissae of the sensors, m, increasing, S_s of Eq. (22).
-        mode: "position", "pose" or "hierarchical".
-        angular_weight: Metres that one radian of angular error counts as.
-        max_iterations: Largest number of steps, the paper's N = 7.
-        min_iterations: Steps taken even where the seed is within the thresholds, so that a slow motion is followed
-            and not quantised by the thresholds.
-        linear_threshold: m.
-        angular_threshold: rad.
-        bend_step: Largest change of a bend in one step, rad.
-        length_step: Largest change of a section's elongation in one step, m.
-        damping: First Levenberg-Marquardt damping, m^2.
-        settled_step: A step with every entry (rad, m) below this is the row's last.
-        gradient: "implicit", see above, or "unrolled": reverse-mode gradients go through every step of the iteration.
+        *settings, **changes: See `StateFeedbackSettings`.
 
     Raises:
         ValueRangeError: The sensor set is empty, not sorted or negative, or a setting is out of range.
+
+    Example:
+        >>> backbone, L0 = PCCBackbone(2), torch.tensor([0.2, 0.25]).double()
+        >>> q, ends = torch.tensor([0.3, 0.1, 0.0, -0.4, 0.2, 0.01]).double(), L0.cumsum(0)
+        >>> feedback = StateFeedback(backbone, ends, mode="pose")
+        >>> estimate = feedback(torch.zeros(6).double(), L0, backbone.pose(q, L0, *decouple(ends, L0)))
+        >>> estimate.q_bar
+        tensor([ 0.3000,  0.1000,  0.0000, -0.4000,  0.2000,  0.0100], dtype=torch.float64)
     """
 
+    settings_type = StateFeedbackSettings
     abscissae: Tensor
+    mode: str
+    gradient: str
     angular_weight: Setting
+    max_iterations: int
+    min_iterations: int
     linear_threshold: Setting
     angular_threshold: Setting
     bend_step: Setting
@@ -68,22 +120,7 @@ class StateFeedback(nn.Module):
     damping: Setting
     settled_step: Setting
 
-    def __init__(
-        self,
-        backbone: KinematicModel,
-        abscissae: Tensor,
-        mode: str = "pose",
-        angular_weight: Setting = 1.0,
-        max_iterations: int = 7,
-        min_iterations: int = 1,
-        linear_threshold: Setting = 1e-4,
-        angular_threshold: Setting = 5e-3,
-        bend_step: Setting = 0.6,
-        length_step: Setting = 0.1,
-        damping: Setting = 1e-8,
-        settled_step: Setting = 5e-6,
-        gradient: str = "implicit",
-    ) -> None:
+    def __init__(self, backbone: KinematicModel, abscissae: Tensor, *settings: Any, **changes: Any) -> None:
         super().__init__()
         check_tensor("abscissae", abscissae, (None,))
         check_finite("abscissae", abscissae)
@@ -91,28 +128,9 @@ class StateFeedback(nn.Module):
             raise ValueRangeError("abscissae must name at least one sensor, got an empty set")
         if bool((abscissae.diff(dim=-1) <= 0).any()) or bool((abscissae < 0).any()):
             raise ValueRangeError(f"abscissae must be increasing and not negative, got {abscissae.tolist()}")
-        if mode not in MODES:
-            raise ValueRangeError(f"mode must be one of {', '.join(MODES)}, got {mode!r}")
-        if gradient not in GRADIENTS:
-            raise ValueRangeError(f"gradient must be one of {', '.join(GRADIENTS)}, got {gradient!r}")
-        settings = {
-            "angular_weight": angular_weight,
-            "linear_threshold": linear_threshold,
-            "angular_threshold": angular_threshold,
-            "bend_step": bend_step,
-            "length_step": length_step,
-            "damping": damping,
-        }
-        check_settings(**settings, max_iterations=max_iterations)
-        if not 0 <= min_iterations <= max_iterations:
-            raise ValueRangeError(f"min_iterations must be between 0 and max_iterations, got {min_iterations}")
         self.backbone = backbone
-        self.mode = mode
-        self.gradient = gradient
-        self.max_iterations = max_iterations
-        self.min_iterations = min_iterations
-        hold(self, **settings, settled_step=settled_step)
-        hold_rows(self, abscissae=(abscissae.clone(), 1))
+        self.hold(resolved(StateFeedbackSettings, settings, changes))
+        hold_rows(self, abscissae=(abscissae, 1))
 
     def forward(
         self,
@@ -240,9 +258,9 @@ class StateFeedback(nn.Module):
         X = self._abscissae(pi)
         points = self.backbone.material_points(pi, *located(X.expand(*batch, X.shape[-1]), pi))
         body = self.backbone.chain_to(q, points).body_jacobian()
-        return self._followed(q, pi, points, body, self._weights(usable, oriented, q.dtype)).to(q_bar.dtype)
+        return self._sensitivity(q, pi, points, body, self._weights(usable, oriented, q.dtype)).to(q_bar.dtype)
 
-    def followed(self, inference: Inference, batch: torch.Size) -> tuple[Placed, Tensor]:
+    def chain_and_sensitivity(self, inference: Inference, batch: torch.Size) -> tuple[Placed, Tensor]:
         """The arm's chain at q_bar and `sensitivity` (..., n, n_b) there, from one pass.
 
         Args:
@@ -257,9 +275,9 @@ class StateFeedback(nn.Module):
         points = problem.points.with_tip(pi_hat)
         chain = self.backbone.chain_to(q, points)
         body = chain.body_jacobian()[..., :-1, :, :]
-        return chain.last(), self._followed(q_bar, pi_hat, problem.points, body, problem.weights)
+        return chain.last(), self._sensitivity(q_bar, pi_hat, problem.points, body, problem.weights)
 
-    def _followed(self, q: Tensor, pi: Tensor, points: MaterialPoints, body: Tensor, weights: Tensor) -> Tensor:
+    def _sensitivity(self, q: Tensor, pi: Tensor, points: MaterialPoints, body: Tensor, weights: Tensor) -> Tensor:
         moved = self.backbone.parameter_columns(q, pi, self._abscissae(pi), points, body)
         damping = torch.full((), 1e-10, dtype=body.dtype, device=body.device)
         return -damped_step(self.mode, Residual(moved, body, weights), damping)

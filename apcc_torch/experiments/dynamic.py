@@ -12,7 +12,7 @@ from torch import Tensor
 
 from apcc_torch.composition.build import Builder
 from apcc_torch.composition.dynamics_law import true_parameters, with_dynamics
-from apcc_torch.composition.schema import SimulateConfig
+from apcc_torch.composition.run_settings import SimulateSettings
 from apcc_torch.control.inverse_kinematics import elongation_cost
 from apcc_torch.control.trajectory import Trajectory
 from apcc_torch.experiments.folder import RunFolder, progress_bar
@@ -53,7 +53,7 @@ class Outcome(NamedTuple):
 
 
 def simulate(
-    config: SimulateConfig,
+    config: SimulateSettings,
     adaptive: bool | None = None,
     label: str = "",
     points: int | None = None,
@@ -62,7 +62,7 @@ def simulate(
     """Runs the whole grid, set-points by payloads, with one controller.
 
     Args:
-        config: Settings; of several runs side by side, from `configs.batch.stacked`.
+        config: Settings; of several runs side by side, from `stacking.stacked`.
         adaptive: The A-PCC controller, or the standard one; None for the configured one.
         label: Of the progress bar.
         points: How many runs; None for one. The log of P runs is (T, P, R, ...).
@@ -76,7 +76,7 @@ def simulate(
     trajectory, payload = _rows(build)
     plant = build.plant(payload)
     settings = DynamicSettings(
-        config.experiment.duration, config.controller.rate, config.plant.substeps, config.plant.settle, config.compile
+        duration=config.experiment.duration, control_rate=config.controller.rate, compile=config.compile
     )
     generator = torch.Generator(build.device).manual_seed(config.seed)
     with torch.inference_mode():
@@ -89,6 +89,7 @@ def simulate(
             settings,
             generator,
             progress or progress_bar(label, config.progress),
+            build.true_sensors_at(),
         )
     true = true_parameters(build, payload)
     arms = Arms(plant.backbone, plant.dynamics.lengths, controller.backbone, controller.feedback.abscissae, true)
@@ -102,14 +103,14 @@ def _rows(build: Builder) -> tuple[Trajectory, Tensor]:
     return build.sine(), build.payloads()
 
 
-def one_of(outcome: Outcome, config: SimulateConfig, p: int) -> Outcome:
+def one_of(outcome: Outcome, config: SimulateSettings, p: int) -> Outcome:
     """Run p, with its own settings, of runs side by side."""
     log = outcome.log
     fields = [field if field.dim() == 1 else field[:, p].contiguous() for field in log[:-1]]
     return Outcome(DynamicLog(*[*fields, log.diverged_at[p]]), _arms(config))
 
 
-def loaded(config: SimulateConfig, data: Mapping[str, Tensor]) -> Outcome:
+def loaded(config: SimulateSettings, data: Mapping[str, Tensor]) -> Outcome:
     """The outcome of a run from its trajectory.npz."""
     # Runs of before there was a law of the dynamics have no estimates of it.
     fields = {"theta_hat": data["u"][..., :0], **data}
@@ -127,9 +128,9 @@ def metrics(outcome: Outcome) -> dict[str, float]:
     return found | estimate_metrics(outcome)
 
 
-def _arms(config: SimulateConfig) -> Arms:
+def _arms(config: SimulateSettings) -> Arms:
     build = Builder(config)
-    lengths = build.vector("plant.lengths", config.plant.lengths)
+    lengths = build.true_lengths()
     true = PCCBackbone(lengths.shape[-1], build.base_rotation())
     theta = true_parameters(build, _rows(build)[1])
     return Arms(true, lengths, build.backbone(), build.sensors_at(), theta)
@@ -260,7 +261,7 @@ def draw(outcome: Outcome, folder: Path, name: str = "run") -> None:
     save_animation(folder / "animation", snapshots(thin, outcome.arms, -1, None), film)
 
 
-def run(config: SimulateConfig, folder: Path) -> dict[str, float]:
+def run(config: SimulateSettings, folder: Path) -> dict[str, float]:
     """Runs the configured controller over the grid and writes its folder; returns the metrics.
 
     Raises:

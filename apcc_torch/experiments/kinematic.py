@@ -11,11 +11,9 @@ import torch
 from torch import Tensor
 
 from apcc_torch.composition.build import Builder
-from apcc_torch.composition.choice import choice
-from apcc_torch.composition.schema import SimulateConfig
+from apcc_torch.composition.run_settings import SimulateSettings
 from apcc_torch.control.controller import APCCController
 from apcc_torch.control.inverse_kinematics import elongation_cost
-from apcc_torch.errors import ConfigError
 from apcc_torch.experiments.folder import RunFolder, progress_bar
 from apcc_torch.model.kinematic_model import KinematicModel
 from apcc_torch.report.kinematic import kinematic_figures, select_row
@@ -74,23 +72,23 @@ class Outcome(NamedTuple):
     controller: APCCController
 
 
-def simulate(config: SimulateConfig, points: int | None = None, progress: Progress | None = None) -> Outcome:
+def simulate(config: SimulateSettings, points: int | None = None, progress: Progress | None = None) -> Outcome:
     """Runs section V-A.
 
     Args:
-        config: Settings; of several runs side by side, from `configs.batch.stacked`.
+        config: Settings; of several runs side by side, from `stacking.stacked`.
         points: How many runs; None for one. The log of P runs is (T, P, R, ...), and pi (P, 1, n_b) where they differ.
         progress: Wraps the step counter; None for a bar.
 
     Raises:
         ConfigError, ValueRangeError: A setting has no meaning.
     """
+    if config.state == "exact":
+        config = config.changed(residual=None)  # where q is known there are no residuals
     build = Builder(config, points)
     controller = build.controller()
     pi = build.rest_lengths()
-    loop = {"exact": simulate_exact, "feedback": simulate_feedback}[
-        choice("state", config.state, ("exact", "feedback"))
-    ]
+    loop = {"exact": simulate_exact, "feedback": simulate_feedback}[config.state]
     with torch.inference_mode():
         log = loop(
             controller,
@@ -105,7 +103,7 @@ def simulate(config: SimulateConfig, points: int | None = None, progress: Progre
     return Outcome(log, pi, controller)
 
 
-def one_of(outcome: Outcome, config: SimulateConfig, p: int) -> Outcome:
+def one_of(outcome: Outcome, config: SimulateSettings, p: int) -> Outcome:
     """Run p, with its own settings, of runs side by side."""
     log = KinematicLog(*(field if field.dim() == 1 else field[:, p].contiguous() for field in outcome.log))
     build = Builder(config)
@@ -137,16 +135,16 @@ def arrays(outcome: Outcome) -> dict[str, Tensor]:
     return {**outcome.log._asdict(), "pi": outcome.pi}
 
 
-def loaded(config: SimulateConfig, data: Mapping[str, Tensor]) -> Outcome:
+def loaded(config: SimulateSettings, data: Mapping[str, Tensor]) -> Outcome:
     """The outcome of a run from its trajectory.npz."""
     build = Builder(config)
     return Outcome(KinematicLog(*(data[name] for name in KinematicLog._fields)), data["pi"], build.controller())
 
 
-def run(config: SimulateConfig, folder: Path) -> dict[str, float]:
+def run(config: SimulateSettings, folder: Path) -> dict[str, float]:
     """Runs section V-A and writes its folder; returns the metrics.
 
-    Row 0 starts from `robot.initial_estimate`; `experiment.start_errors` more rows start from random estimates.
+    Row 0 starts from `experiment.first_estimate`; `experiment.start_errors` more rows start from random estimates.
 
     Raises:
         ConfigError, ValueRangeError: A setting has no meaning.
@@ -161,11 +159,9 @@ def run(config: SimulateConfig, folder: Path) -> dict[str, float]:
     return found
 
 
-def _starts(config: SimulateConfig, build: Builder) -> Tensor:
+def _starts(config: SimulateSettings, build: Builder) -> Tensor:
     """(1 + start_errors, n_b) first estimates; of several runs (P, 1 + start_errors, n_b)."""
     e = config.experiment
-    if e.start_errors < 0 or not 0 < e.start_error < 1:
-        raise ConfigError("experiment.start_errors must be zero or more and experiment.start_error between 0 and 1")
     generator = torch.Generator().manual_seed(config.seed)
     draws = torch.rand(e.start_errors, build.n_sections, generator=generator, dtype=torch.float64)
     scale = (1.0 + e.start_error * (2.0 * draws - 1.0)).to(dtype=build.dtype, device=build.device)

@@ -15,7 +15,7 @@ from apcc_torch.composition.build_devices import Devices
 from apcc_torch.composition.build_realtime import RealtimeBuilder
 from apcc_torch.composition.calibrated import calibrated, load_calibration
 from apcc_torch.composition.realtime import RealtimeConfig
-from apcc_torch.composition.typed import typed
+from apcc_torch.composition.schema import typed
 from apcc_torch.errors import DataError
 from apcc_torch.experiments.folder import versions
 from apcc_torch.files import write_json

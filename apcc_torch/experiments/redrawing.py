@@ -6,15 +6,15 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from omegaconf import OmegaConf
-from omegaconf.errors import OmegaConfBaseException
+import yaml
 from torch import Tensor
 
+from apcc_torch.classes import Trust
 from apcc_torch.composition.build import Builder
-from apcc_torch.composition.schema import SimulateConfig
-from apcc_torch.composition.typed import typed
-from apcc_torch.errors import ConfigError, DataError
+from apcc_torch.composition.run_settings import SimulateSettings
+from apcc_torch.errors import ApccError, DataError
 from apcc_torch.experiments import dynamic, kinematic
+from apcc_torch.reading import read
 from apcc_torch.report.animation import save_animation
 from apcc_torch.report.backbone_drawing import Snapshots
 from apcc_torch.report.kinematic import select_row, snapshots
@@ -28,16 +28,16 @@ INSTANTS = 600
 """Largest number of instants of a run that is drawn anew; more would not be seen."""
 
 
-def load_run(folder: Path) -> tuple[SimulateConfig, dict[str, Tensor]]:
+def load_run(folder: Path) -> tuple[SimulateSettings, dict[str, Tensor]]:
     """Settings and trajectory of a run's folder.
 
     Raises:
         DataError: config.yaml or trajectory.npz cannot be read, or the settings are not those of this version.
     """
     try:
-        schema = OmegaConf.structured(SimulateConfig)
-        config = typed(OmegaConf.merge(schema, OmegaConf.load(folder / "config.yaml")), SimulateConfig)  # type: ignore[arg-type]
-    except (OSError, OmegaConfBaseException, ConfigError) as error:
+        values = yaml.safe_load((folder / "config.yaml").read_text(encoding="utf-8"))
+        config = read(values, SimulateSettings, trust=Trust.OWN)
+    except (OSError, UnicodeDecodeError, yaml.YAMLError, ApccError) as error:
         raise DataError(f"config.yaml does not hold this version's settings: {str(error).splitlines()[0]}") from error
     try:
         with np.load(folder / "trajectory.npz") as archive:
@@ -69,7 +69,9 @@ def draw_anew(folder: Path, into: Path, figured: bool, filmed: bool) -> None:
         raise DataError(f"trajectory.npz has no {error}") from error
 
 
-def draw_kinematic(config: SimulateConfig, arrays: dict[str, Tensor], into: Path, figured: bool, filmed: bool) -> None:
+def draw_kinematic(
+    config: SimulateSettings, arrays: dict[str, Tensor], into: Path, figured: bool, filmed: bool
+) -> None:
     """Figures 7, 8 and 9 of row 0, and its film."""
     outcome = kinematic.loaded(config, arrays)
     T = outcome.log.time.shape[0]
@@ -94,13 +96,13 @@ def kinematic_film(outcome: kinematic.Outcome) -> tuple[Snapshots, dict[str, Ten
     return shots._replace(target=log.x_d[at]), readouts
 
 
-def draw_dynamic(config: SimulateConfig, arrays: dict[str, Tensor], into: Path, figured: bool, filmed: bool) -> None:
+def draw_dynamic(config: SimulateSettings, arrays: dict[str, Tensor], into: Path, figured: bool, filmed: bool) -> None:
     """The paper's figures over all rows, and always the film of the last one: they are drawn together."""
     name = "adaptive" if config.controller.adaptive else "standard"
     dynamic.draw(dynamic.loaded(config, arrays), into, name)
 
 
-def draw_replay(config: SimulateConfig, arrays: dict[str, Tensor], into: Path, figured: bool, filmed: bool) -> None:
+def draw_replay(config: SimulateSettings, arrays: dict[str, Tensor], into: Path, figured: bool, filmed: bool) -> None:
     """What the estimator inferred from a recording; there is no true arm to film."""
     names = ("time", "q_bar", "angular_error", "linear_error", "position_reason", "orientation_reason")
     curves, coordinates = ReplayCurves(*(arrays[name] for name in names)), Builder(config).backbone().coordinates

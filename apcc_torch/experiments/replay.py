@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import dataclasses
 import time
 from pathlib import Path
 
 import torch
 
 from apcc_torch.composition.build import Builder
-from apcc_torch.composition.schema import SimulateConfig
+from apcc_torch.composition.run_settings import SimulateSettings
 from apcc_torch.errors import ConfigError
 from apcc_torch.estimation.sensor_gate import SensorGate
 from apcc_torch.experiments.folder import RunFolder, progress_bar
@@ -22,7 +21,7 @@ from apcc_torch.report.replay import ReplayCurves, replay_figure
 from apcc_torch.report.style import save_figures
 
 
-def run(config: SimulateConfig, folder: Path) -> dict[str, float]:
+def run(config: SimulateSettings, folder: Path) -> dict[str, float]:
     """Replays `data` and writes the run's folder; returns the metrics.
 
     The calibration of the rest pose replaces the robot's sensor abscissae and rest lengths, one section ending at each
@@ -41,8 +40,8 @@ def run(config: SimulateConfig, folder: Path) -> dict[str, float]:
     direction, base_position = r.direction, r.base_position
     if layout == "trunk":
         # These recordings hold neither the way gravity points nor the base; what is known of them stands in.
-        direction = list(TRUNK_DIRECTION) if direction is None else direction
-        base_position = list(TRUNK_BASE) if base_position is None and r.first_abscissa is None else base_position
+        direction = TRUNK_DIRECTION if direction is None else direction
+        base_position = TRUNK_BASE if base_position is None and r.first_abscissa is None else base_position
     calibration = calibrate(
         recording,
         direction=direction,
@@ -52,8 +51,8 @@ def run(config: SimulateConfig, folder: Path) -> dict[str, float]:
     )
     lengths = [float(v) for v in calibration.rest_lengths]
     abscissae = [float(v) for v in calibration.abscissae]
-    robot = dataclasses.replace(config.robot, rest_lengths=lengths, sensors=abscissae, racks=abscissae)
-    build = Builder(dataclasses.replace(config, robot=robot))
+    arm = config.arm.changed(lengths=lengths, sensors=abscissae, racks=abscissae)
+    build = Builder(config.changed(arm=arm))
     controller = build.controller()
     gate = SensorGate(
         len(abscissae),

@@ -6,21 +6,22 @@ import json
 import math
 import shutil
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 
 import torch
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig
 
-from apcc_torch.composition.choice import choice
-from apcc_torch.composition.schema import SimulateConfig
-from apcc_torch.composition.typed import typed
+from apcc_torch.composition.run_settings import SimulateSettings
+from apcc_torch.composition.schema import text, typed
 from apcc_torch.errors import ConfigError
 from apcc_torch.experiments import dynamic, kinematic, replay
 from apcc_torch.experiments.folder import versions
 from apcc_torch.files import write_atomically, write_json
+from apcc_torch.reading import plain
+from apcc_torch.settings import check_choice
 
-EXPERIMENTS: dict[str, Callable[[SimulateConfig, Path], dict[str, float]]] = {
+EXPERIMENTS: dict[str, Callable[[SimulateSettings, Path], dict[str, float]]] = {
     "dynamic": dynamic.run,
     "kinematic": kinematic.run,
     "replay": replay.run,
@@ -29,18 +30,18 @@ EXPERIMENTS: dict[str, Callable[[SimulateConfig, Path], dict[str, float]]] = {
 METRICS, PRUNED = "metrics.json", "pruned.json"
 
 
-def settings_of(cfg: DictConfig, folder: Path) -> SimulateConfig:
+def settings_of(cfg: DictConfig, folder: Path) -> SimulateSettings:
     """Checks a composed configuration and leaves it, resolved, in the run's folder as config.yaml.
 
     Raises:
         ConfigError: A value is missing or of the wrong type.
     """
-    config = typed(cfg, SimulateConfig)
-    write_atomically(folder / "config.yaml", OmegaConf.to_yaml(cfg, resolve=True))
+    config = typed(cfg, SimulateSettings)
+    write_atomically(folder / "config.yaml", text(config))
     return config
 
 
-def run(config: SimulateConfig, folder: Path) -> dict[str, float]:
+def run(config: SimulateSettings, folder: Path) -> dict[str, float]:
     """Runs the configured experiment into `folder`; its last file is metrics.json, or pruned.json.
 
     With `prune.after` the run is first tried for that long. Where a row diverges, or the objective is above
@@ -54,7 +55,7 @@ def run(config: SimulateConfig, folder: Path) -> dict[str, float]:
     """
     if config.threads is not None:
         torch.set_num_threads(config.threads)
-    experiment = EXPERIMENTS[choice("experiment.kind", config.experiment.kind, tuple(EXPERIMENTS))]
+    experiment = EXPERIMENTS[check_choice("experiment.kind", config.experiment.kind, tuple(EXPERIMENTS))]
     after = config.prune.after
     if after is not None:
         if not 0 < after < config.experiment.duration:
@@ -68,9 +69,9 @@ def run(config: SimulateConfig, folder: Path) -> dict[str, float]:
     return experiment(config, folder)
 
 
-def pruning(config: SimulateConfig) -> dict[str, object]:
+def pruning(config: SimulateSettings) -> dict[str, object]:
     """The settings that decide which runs are pruned."""
-    return {"objective": config.objective, **asdict(config.prune)}
+    return {"objective": config.objective, **plain(config.prune)}
 
 
 def objective_value(metrics: Mapping[str, float], name: str) -> float:
@@ -99,7 +100,10 @@ def objective_in(folder: Path, name: str | None) -> float | None:
 
 
 def _tried(
-    experiment: Callable[[SimulateConfig, Path], dict[str, float]], config: SimulateConfig, folder: Path, after: float
+    experiment: Callable[[SimulateSettings, Path], dict[str, float]],
+    config: SimulateSettings,
+    folder: Path,
+    after: float,
 ) -> dict[str, float]:
     """Metrics of the first `after` seconds; leaves no file."""
     short = replace(config, figures=False, experiment=replace(config.experiment, duration=after))
@@ -109,7 +113,7 @@ def _tried(
         shutil.rmtree(folder, ignore_errors=True)
 
 
-def _why_pruned(metrics: Mapping[str, float], config: SimulateConfig) -> str | None:
+def _why_pruned(metrics: Mapping[str, float], config: SimulateSettings) -> str | None:
     if metrics.get("diverged_rows"):
         return f"{metrics['diverged_rows']:.0f} of {metrics['rows']:.0f} rows diverged within {config.prune.after} s"
     if config.prune.above is None:

@@ -2,15 +2,25 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import Any
+
 import torch
 from torch import Tensor
 
-from apcc_torch.errors import ValueRangeError
 from apcc_torch.model.coordinates import BEND_X, BEND_Y, ELONGATION, Coordinate, Coordinates
 from apcc_torch.model.strain_backbone import Basis, StrainBackbone
+from apcc_torch.settings import OURS, Settings, resolved, setting
 
 SLOPE_X = Coordinate("slope x", "rad", driven=False)
 SLOPE_Y = Coordinate("slope y", "rad", driven=False)
+
+
+@dataclass(frozen=True, kw_only=True)
+class AffineSettings(Settings):
+    """Settings of `AffineBackbone`."""
+
+    rods: int = setting(4, "", OURS, "rods of constant strain a section; their error falls by its 4th power", least=1)
 
 
 class AffineBackbone(StrainBackbone):
@@ -27,16 +37,20 @@ class AffineBackbone(StrainBackbone):
     Args:
         n_sections: Number of sections n_b.
         base_rotation: (3, 3) rotation of the arm's base frame in the world; None for the identity.
-        rods: Rods of each section.
+        *settings, **changes: See `AffineSettings`.
 
     Raises:
         ValueRangeError: n_sections or rods < 1, or base_rotation is not a rotation.
         ShapeError: base_rotation is not (3, 3).
     """
 
-    def __init__(self, n_sections: int = 3, base_rotation: Tensor | None = None, rods: int = 4) -> None:
-        if rods < 1:
-            raise ValueRangeError(f"rods must be at least 1, got {rods}")
+    settings_type = AffineSettings
+    rods: int
+
+    def __init__(
+        self, n_sections: int = 3, base_rotation: Tensor | None = None, *settings: Any, **changes: Any
+    ) -> None:
+        s = resolved(AffineSettings, settings, changes)
         start, slope = torch.zeros(6, 5, dtype=torch.float64), torch.zeros(6, 5, dtype=torch.float64)
         # omega = (-(theta_y + (2 s - 1) sigma_y), theta_x + (2 s - 1) sigma_x, 0), v = (0, 0, L).
         start[0, 1], start[0, 3], slope[0, 3] = -1.0, 1.0, -2.0
@@ -47,7 +61,8 @@ class AffineBackbone(StrainBackbone):
         first[0, 2] = first[1, 3] = -1.0
         second[0, 2] = second[1, 3] = second[2, 2] = second[3, 3] = 1.0
         coordinates = Coordinates((BEND_X, BEND_Y, SLOPE_X, SLOPE_Y, ELONGATION))
-        super().__init__(n_sections, coordinates, Basis(start, slope, first, second), rods, base_rotation)
+        super().__init__(n_sections, coordinates, Basis(start, slope, first, second), s.rods, base_rotation)
+        self.hold(s)
 
     def resized(self, n_sections: int) -> AffineBackbone:
         """See `KinematicModel.resized`."""

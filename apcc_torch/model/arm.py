@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, fields, make_dataclass
 from math import pi
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import torch
 import yaml
@@ -205,20 +205,27 @@ def vector(values: Lengths) -> Tensor:
     return values if isinstance(values, Tensor) else torch.tensor(values, dtype=torch.float64)
 
 
-ArmChanges = make_dataclass(
-    "ArmChanges",
-    [
-        (each.name, f"{each.type} | None".replace("None | None", "None"), field(default=None, metadata=each.metadata))
-        for each in fields(Arm)
-    ],
-    bases=(Settings,),
-    namespace={"__doc__": "What differs on an arm from what is believed of it; None: nothing.", "__module__": __name__},
-    frozen=True,
-    kw_only=True,
-)
+if TYPE_CHECKING:
+
+    class ArmChanges(Settings):
+        """What differs on an arm from what is believed of it; None: nothing."""
+
+else:
+    ArmChanges = make_dataclass(
+        "ArmChanges",
+        [
+            (e.name, str(e.type).replace(" | None", "") + " | None", field(default=None, metadata=e.metadata))
+            for e in fields(Arm)
+        ],
+        bases=(Settings,),
+        namespace={"__doc__": "What differs on an arm from what is believed of it; None: nothing."},
+        frozen=True,
+        kw_only=True,
+    )
+    ArmChanges.__module__ = __name__
 
 
-def with_changes(arm: Arm, changes: Settings) -> Arm:
+def with_changes(arm: Arm, changes: ArmChanges) -> Arm:
     """The arm with those of the changes that are not None."""
     values = {each.name: getattr(changes, each.name) for each in fields(changes)}
     return arm.changed(**{name: value for name, value in values.items() if value is not None})

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -11,6 +13,7 @@ from apcc_torch.errors import ConfigError
 from apcc_torch.model.coordinates import BEND_X, BEND_Y, ELONGATION, Coordinate, Coordinates
 from apcc_torch.model.strain_backbone import Basis, StrainBackbone
 from apcc_torch.model.strain_chain import Chosen
+from apcc_torch.settings import OURS, Settings, resolved, setting
 
 # In this order, which is that of the columns below; the elongation is a coordinate of every section.
 STRAINS = {
@@ -25,6 +28,21 @@ STRAINS = {
 _TWISTS = ((1, 1.0), (0, -1.0), (2, 1.0), (3, 1.0), (4, 1.0), (5, 1.0))
 
 
+Strains = Sequence[str] | Sequence[Sequence[str]]
+
+
+@dataclass(frozen=True, kw_only=True)
+class ConstantStrainSettings(Settings):
+    """Settings of `ConstantStrainBackbone`."""
+
+    strains: Strains = setting(
+        tuple(STRAINS),
+        "",
+        OURS,
+        f"those of {', '.join(STRAINS)} of a section; or such a list for each",
+    )
+
+
 class ConstantStrainBackbone(StrainBackbone):
     """Piecewise constant strain, [Renda et al., 2018], with the strains chosen that matter.
 
@@ -36,7 +54,7 @@ class ConstantStrainBackbone(StrainBackbone):
     Args:
         n_sections: Number of sections n_b.
         base_rotation: (3, 3) rotation of the arm's base frame in the world; None for the identity.
-        strains: The chosen strains of every section; or a list of them, one a section.
+        *settings, **changes: See `ConstantStrainSettings`.
 
     Raises:
         ConfigError: A strain is unknown or named twice, the elongation is missing, or not every section has one.
@@ -44,12 +62,14 @@ class ConstantStrainBackbone(StrainBackbone):
         ShapeError: base_rotation is not (3, 3).
     """
 
+    settings_type = ConstantStrainSettings
+    strains: Strains
+
     def __init__(
-        self,
-        n_sections: int = 3,
-        base_rotation: Tensor | None = None,
-        strains: Sequence[str] | Sequence[Sequence[str]] = tuple(STRAINS),
+        self, n_sections: int = 3, base_rotation: Tensor | None = None, *settings: Any, **changes: Any
     ) -> None:
+        s = resolved(ConstantStrainSettings, settings, changes)
+        strains = s.strains
         apart = any(not isinstance(names, str) for names in strains)
         chosen = [list(names) for names in strains] if apart else [[str(name) for name in strains]] * n_sections
         if len(chosen) != n_sections:
@@ -65,6 +85,7 @@ class ConstantStrainBackbone(StrainBackbone):
         basis = Basis(start, None, torch.eye(6, dtype=torch.float64), None)
         super().__init__(n_sections, Coordinates(pattern), basis, 1, base_rotation, _chosen(places, 6 * n_sections))
         self._shared = None if apart else tuple(chosen[0])
+        self.hold(s)
 
     def resized(self, n_sections: int) -> ConstantStrainBackbone:
         """See `KinematicModel.resized`.

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import Any
+
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from apcc_torch.model.tendons import TendonRouting
-from apcc_torch.settings import check_setting
+from apcc_torch.part import Part
+from apcc_torch.settings import OURS, Settings, resolved, setting
 from apcc_torch.shapes import check_same, check_tensor
 
 
@@ -22,7 +26,17 @@ def taut(u: Tensor, smoothing: float = 0.0) -> Tensor:
     return -0.5 * (torch.sqrt(u * u + smoothing * smoothing) - u)
 
 
-class TendonTransmission(nn.Module):
+@dataclass(frozen=True, kw_only=True)
+class TendonTransmissionSettings(Settings):
+    """Settings of `TendonTransmission`."""
+
+    friction: float = setting(0.0, "", OURS, "capstan coefficient of dry friction along each tendon", least=0)
+    slack: bool = setting(True, "", OURS, "true: tendons only pull; commands must then keep them taut")
+    smoothing: float = setting(0.0, "N", OURS, "rounding of the slack corner", least=0, key=False)
+    sliding_speed: float = setting(1e-3, "m/s", OURS, "tendon speed at which friction is developed", above=0, key=False)
+
+
+class TendonTransmission(Part):
     """Generalized force of tendons that can go slack and rub along their way (capstan friction).
 
     A tendon that slides towards the motor loses tension with the angle it has been bent through,
@@ -30,29 +44,29 @@ class TendonTransmission(nn.Module):
 
     Args:
         routing: Where the tendons run.
-        friction: Coefficient mu, not negative. Zero leaves tau = B u.
-        slack: Whether a pushing force is dropped; see `taut`.
-        smoothing: Rounding of the slack corner, N.
-        sliding_speed: Tendon speed at which friction is developed (tanh), m/s.
+        *settings, **changes: See `TendonTransmissionSettings`; no friction and no slack leave tau = B u.
 
     Raises:
-        ValueRangeError: A number is negative or not finite, or `sliding_speed` is zero.
+        ValueRangeError: A setting is out of range.
+
+    Example:
+        >>> routing = rack_routing(torch.tensor([0.2]))
+        >>> pulling = TendonTransmission(routing, friction=0.1)
+        >>> still = torch.zeros(3)
+        >>> pulling(torch.tensor([-1.0, 2.0, 0.0]), still, still, torch.tensor([0.2]))
+        tensor([ 0.0270,  0.0000, -1.0000])
     """
 
-    def __init__(
-        self,
-        routing: TendonRouting,
-        friction: float = 0.0,
-        slack: bool = True,
-        smoothing: float = 0.0,
-        sliding_speed: float = 1e-3,
-    ) -> None:
+    settings_type = TendonTransmissionSettings
+    friction: float
+    slack: bool
+    smoothing: float
+    sliding_speed: float
+
+    def __init__(self, routing: TendonRouting, *settings: Any, **changes: Any) -> None:
         super().__init__()
         self.routing = routing
-        self.friction = check_setting("friction", friction, zero=True)
-        self.slack = slack
-        self.smoothing = check_setting("smoothing", smoothing, zero=True)
-        self.sliding_speed = check_setting("sliding_speed", sliding_speed)
+        self.hold(resolved(TendonTransmissionSettings, settings, changes))
 
     def forward(self, u: Tensor, q: Tensor, qdot: Tensor, lengths: Tensor) -> Tensor:
         """Generalized force tau (..., 3 n_b), N m, N m, N per section.

@@ -8,17 +8,19 @@ elongation delta L of a section adds to its rest length, so Y is the columns of 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import Protocol
+from dataclasses import fields
+from typing import Any, Protocol, Self
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from apcc_torch.errors import DtypeError, ShapeError, ValueRangeError
 from apcc_torch.lie import se3
 from apcc_torch.model.abscissae import MaterialPoints, decouple, section_fractions
 from apcc_torch.model.coordinates import Coordinates
 from apcc_torch.model.tendons import TendonRouting
-from apcc_torch.part import hold_rows
+from apcc_torch.part import Part, hold_rows
+from apcc_torch.settings import Settings
 from apcc_torch.shapes import batch_shape, check_same, check_tensor
 
 
@@ -46,7 +48,7 @@ class Placed(Protocol):
         """Jdot (..., 3, n) along qdot (..., n), of the leading shape of the chain; chains of whole arms only."""
 
 
-class KinematicModel(nn.Module, ABC):
+class KinematicModel(Part, ABC):
     """Kinematics of n_b sections in series, hung from a base.
 
     Leading dimensions broadcast. Everything is expressed in the world frame, whose origin is the base of the arm. A
@@ -77,7 +79,13 @@ class KinematicModel(nn.Module, ABC):
             raise ValueRangeError("base_rotation must be a rotation matrix (orthonormal, determinant 1)")
         self.n_sections = n_sections
         self.coordinates = coordinates
-        hold_rows(self, base_rotation=(base_rotation.clone(), 2))
+        hold_rows(self, base_rotation=(base_rotation, 2))
+
+    @classmethod
+    def on(cls, n_sections: int, base_rotation: Tensor, settings: Settings) -> Self:
+        """The model of so many sections on a base, with the settings of its class, if that has any."""
+        own: Any = [settings] if fields(settings) else []
+        return cls(n_sections, base_rotation, *own)
 
     @property
     @abstractmethod

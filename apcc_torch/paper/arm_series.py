@@ -10,9 +10,8 @@ from pathlib import Path
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from apcc_torch.composition.choice import choice
 from apcc_torch.composition.realtime import RealtimeConfig
-from apcc_torch.composition.typed import typed
+from apcc_torch.composition.schema import typed
 from apcc_torch.errors import ConfigError
 from apcc_torch.experiments import calibrate as arm_calibration
 from apcc_torch.experiments import realtime_run as realtime
@@ -21,6 +20,7 @@ from apcc_torch.files import write_atomically, write_json
 from apcc_torch.hardware.records import Outcome
 from apcc_torch.hardware.stops import StopReason
 from apcc_torch.paper import mapping_study, state_feedback_study
+from apcc_torch.settings import check_choice
 
 log = logging.getLogger(__name__)
 
@@ -51,10 +51,10 @@ def series(cfg: DictConfig, config: RealtimeConfig, folder: Path) -> tuple[Outco
     """Every run in a folder of its own, and then the study of those that came to their end."""
     s = config.series
     if s.study is not None:
-        choice("series.study", s.study, tuple(STUDIES))
+        check_choice("series.study", s.study, tuple(STUDIES))
     names = list(s.runs) if s.only is None else s.only
     for name in names:
-        choice("series.only", name, tuple(s.runs))
+        check_choice("series.only", name, tuple(s.runs))
     done: list[str] = []
     outcome: Outcome | None = None
     for name in names:

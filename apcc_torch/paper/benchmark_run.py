@@ -12,8 +12,8 @@ from typing import NamedTuple
 
 import torch
 
-from apcc_torch.composition.benchmark import BenchmarkConfig, GridConfig
-from apcc_torch.composition.schema import SimulateConfig
+from apcc_torch.composition.benchmark import BenchmarkSettings, GridSettings
+from apcc_torch.composition.run_settings import SimulateSettings
 from apcc_torch.errors import ConfigError
 from apcc_torch.experiments.folder import progress_bar, versions
 from apcc_torch.files import write_arrays, write_atomically, write_json
@@ -27,15 +27,15 @@ CONTROLLERS = ("standard", "adaptive")
 class Pair(NamedTuple):
     """The settings of one run, a controller each."""
 
-    standard: SimulateConfig
-    adaptive: SimulateConfig
+    standard: SimulateSettings
+    adaptive: SimulateSettings
 
 
 Pairs = Mapping[str, Mapping[str, Pair]]
 """Comparison -> run -> settings."""
 
 
-def on_grid(config: SimulateConfig, grid: GridConfig, adaptive: bool) -> SimulateConfig:
+def on_grid(config: SimulateSettings, grid: GridSettings, adaptive: bool) -> SimulateSettings:
     """An experiment's settings cut to the benchmark's grid, for one controller.
 
     Args:
@@ -56,7 +56,7 @@ def on_grid(config: SimulateConfig, grid: GridConfig, adaptive: bool) -> Simulat
     cut = replace(
         e,
         setpoints=e.setpoints[: grid.setpoints],
-        payloads=e.payloads if grid.payloads is None else grid.payloads,
+        payloads=e.payloads if grid.payloads is None else tuple(grid.payloads),
         duration=e.duration if grid.duration is None else grid.duration,
     )
     return replace(config, experiment=cut, controller=replace(config.controller, adaptive=adaptive))
@@ -109,7 +109,7 @@ def simulate_all(pairs: Pairs, folder: Path, progress: bool, workers: int = 1) -
     return results
 
 
-def _outcomes(tasks: list[tuple[SimulateConfig, bool, str]], workers: int) -> Iterator[Outcome]:
+def _outcomes(tasks: list[tuple[SimulateSettings, bool, str]], workers: int) -> Iterator[Outcome]:
     """The outcome of each task, in order."""
     if workers == 1:
         yield from (outcome(*task) for task in tasks)
@@ -120,7 +120,7 @@ def _outcomes(tasks: list[tuple[SimulateConfig, bool, str]], workers: int) -> It
         yield from pool.map(outcome, *zip(*tasks, strict=True))
 
 
-def run(config: BenchmarkConfig, pairs: Pairs, folder: Path) -> str:
+def run(config: BenchmarkSettings, pairs: Pairs, folder: Path) -> str:
     """Runs the benchmark and writes its folder; returns the table as text.
 
     Args:

@@ -15,9 +15,9 @@ import torch
 from torch import Tensor
 
 from apcc_torch.composition.build import Builder
-from apcc_torch.composition.schema import SimulateConfig
+from apcc_torch.composition.run_settings import SimulateSettings
 from apcc_torch.control.inverse_kinematics import elongation_cost
-from apcc_torch.control.length_bank import candidates
+from apcc_torch.control.length_bank import candidates, lists_of
 from apcc_torch.estimation.best_fit import oracle_fit
 from apcc_torch.estimation.state_feedback import StateFeedback
 from apcc_torch.experiments.dynamic import Arms, thinned
@@ -90,15 +90,16 @@ class Limits(NamedTuple):
         return [(1e3 * self.mean(shape), 1e2 * self.mean(psi)) for shape, psi in self.front]
 
 
-def length_grid(config: SimulateConfig, build: Builder) -> Tensor:
+def length_grid(config: SimulateSettings, build: Builder) -> Tensor:
     """(G, n_b) rest lengths, m: evenly within the law's bounds, and those of banks of several total lengths."""
     nominal = build.rest_lengths()
-    a = config.adaptation
-    lower = build.vector("adaptation.lower", a.lower) if a.lower else (1.0 - REACH) * nominal
-    upper = build.vector("adaptation.upper", a.upper) if a.upper else (1.0 + REACH) * nominal
+    b = config.bounds
+    lower = build.vector("bounds.lower", (1.0 - REACH) if b.lower is None else b.lower, len(nominal)) * nominal
+    upper = build.vector("bounds.upper", (1.0 + REACH) if b.upper is None else b.upper, len(nominal)) * nominal
     shares = torch.linspace(0.0, 1.0, STEPS, dtype=nominal.dtype, device=nominal.device)
     axes = [low + (high - low) * shares for low, high in zip(lower, upper, strict=True)]
-    banks = [candidates(total * nominal, SHARES, build.sensors_at()) for total in TOTALS]
+    lists = lists_of(SHARES, len(nominal) - 1)
+    banks = [candidates(total * nominal, lists, build.sensors_at()) for total in TOTALS]
     # The nominal lengths are among them: the limit of a metric is never above what the fixed model reaches.
     return torch.cat((*banks, torch.cartesian_prod(*axes)))
 
@@ -117,7 +118,7 @@ def _inferred(feedback: StateFeedback, q: Tensor, pi: Tensor, T: Tensor) -> tupl
     return found.q_bar, found.linear_error, angular
 
 
-def limits(config: SimulateConfig, log: DynamicLog, arms: Arms) -> Limits:
+def limits(config: SimulateSettings, log: DynamicLog, arms: Arms) -> Limits:
     """The limits of a run's motion, with the estimator that its settings name.
 
     Args:

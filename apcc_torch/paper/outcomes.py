@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from torch import Tensor
 
-from apcc_torch.composition.schema import SimulateConfig
+from apcc_torch.composition.run_settings import SimulateSettings
 from apcc_torch.experiments.dynamic import Arms, curves, dynamic_metrics, simulate, thinned
 from apcc_torch.paper.best_lengths import Limits, limits
 from apcc_torch.report.dynamic import RunCurves
@@ -51,7 +51,7 @@ def grid_metrics(c: RunCurves, diverged_at: Tensor) -> dict[str, float]:
     return dynamic_metrics(c, diverged_at) | {name: float(value) for name, value in edges.items()}
 
 
-def outcome(config: SimulateConfig, adaptive: bool, label: str) -> Outcome:
+def outcome(config: SimulateSettings, adaptive: bool, label: str) -> Outcome:
     """Runs one controller over its experiment's whole grid.
 
     Args:
@@ -81,7 +81,7 @@ def single_row(payloads: Sequence[float]) -> int:
     return max(range(len(payloads)), key=lambda p: payloads[p])
 
 
-def parts(run: str, both: Mapping[str, Outcome], config: SimulateConfig) -> dict[str, dict[str, Outcome]]:
+def parts(run: str, both: Mapping[str, Outcome], config: SimulateSettings) -> dict[str, dict[str, Outcome]]:
     """A run's held-out twin and its single run, without running anything again.
 
     Args:

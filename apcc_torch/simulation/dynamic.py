@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from apcc_torch.control.composite_controller import CompositeController, CompositeState
 from apcc_torch.control.controller import APCCController
@@ -20,39 +20,23 @@ from apcc_torch.control.trajectory import Trajectory
 from apcc_torch.errors import ConfigError
 from apcc_torch.model.abscissae import decouple
 from apcc_torch.model.integrators import ArmState
-from apcc_torch.native.compiled import compiled
-from apcc_torch.part import hold_rows
-from apcc_torch.settings import check_setting
+from apcc_torch.native.compiled import MODES, compiled
+from apcc_torch.part import Part, hold_rows
+from apcc_torch.settings import OURS, Settings, setting
 from apcc_torch.simulation.plant import Plant, PlantState
 from apcc_torch.simulation.progress import Progress, quiet
 from apcc_torch.simulation.rollout import rollout
 from apcc_torch.simulation.sensors import Draws, PoseSensors, SensorState
 
 
-@dataclass(frozen=True)
-class DynamicSettings:
-    """Rates and times of a closed-loop run.
+@dataclass(frozen=True, kw_only=True)
+class DynamicSettings(Settings):
+    """How long a closed loop runs, and how."""
 
-    duration: s after the arm has settled.
-    control_rate: Hz.
-    substeps: Plant steps in one control period.
-    settle: s during which the tendons hold their zero lengths and the arm comes to rest under gravity.
-    compile: How a period is run, one of `native.compiled.MODES`; compiled code has no gradients.
-    checkpointed: See `rollout`; the settling too.
-    """
-
-    duration: float = 10.0
-    control_rate: float = 100.0
-    substeps: int = 4
-    settle: float = 3.0
-    compile: str = "off"
-    checkpointed: bool = False
-
-    def __post_init__(self) -> None:
-        """Raises ValueRangeError where a time or rate is not positive and finite, or `settle` is negative."""
-        for name in ("duration", "control_rate", "substeps"):
-            check_setting(name, getattr(self, name))
-        check_setting("settle", self.settle, zero=True)
+    duration: float = setting(unit="s", meaning="after the arm has settled", above=0)
+    control_rate: float = setting(unit="Hz", meaning="of the controller", above=0)
+    compile: str = setting("off", "", OURS, "how a period is run; compiled code has no gradients", choices=MODES)
+    checkpointed: bool = setting(False, "", OURS, "see `rollout`; the settling too")
 
 
 class DynamicLog(NamedTuple):
@@ -94,7 +78,7 @@ class LoopState(NamedTuple):
     u: Tensor | None = None
 
 
-class ClosedLoop(nn.Module):
+class ClosedLoop(Part):
     """One control period of the closed loop, as one pure step: read the sensors, control, move the arm.
 
     Args:
@@ -103,7 +87,7 @@ class ClosedLoop(nn.Module):
         sensors: What the sensors make of the true poses.
         trajectory: Targets (R, 3).
         period: s.
-        substeps: Plant steps in one period.
+        abscissae: (..., k) where the sensors really are, m; None for where the controller believes them.
 
     Raises:
         ConfigError: The controller has no routing.
@@ -119,7 +103,7 @@ class ClosedLoop(nn.Module):
         sensors: PoseSensors,
         trajectory: Trajectory,
         period: float,
-        substeps: int,
+        abscissae: Tensor | None = None,
     ) -> None:
         super().__init__()
         if controller.routing is None:
@@ -129,9 +113,9 @@ class ClosedLoop(nn.Module):
         self.sensors = sensors
         self.trajectory = trajectory
         self.period = period
-        self.substeps = substeps
         lengths = plant.dynamics.lengths
-        X_tilde, j = decouple(controller.feedback.abscissae.to(lengths), lengths)
+        places = controller.feedback.abscissae if abscissae is None else abscissae
+        X_tilde, j = decouple(places.to(lengths), lengths)
         hold_rows(self, X_tilde=(X_tilde, 1), j=(j, 1))
 
     def poses(self, q: Tensor) -> Tensor:
@@ -207,9 +191,9 @@ class ClosedLoop(nn.Module):
             now.y,
             u,
         )
-        for i in range(self.substeps):
-            reference = ramp(now.y, y, (i + 1) / self.substeps, self.period, force)
-            arm = plant.advance(arm, reference, self.period / self.substeps, k)
+        for i in range(plant.substeps):
+            reference = ramp(now.y, y, (i + 1) / plant.substeps, self.period, force)
+            arm = plant.advance(arm, reference, self.period / plant.substeps, k)
         measured = None
         if now.u is not None:
             measured = plant.forces(arm.arm, arm.z, ramp(now.y, y, 1.0, self.period, force))
@@ -225,6 +209,7 @@ def simulate_dynamic(
     settings: DynamicSettings,
     generator: torch.Generator | None = None,
     progress: Progress = quiet,
+    abscissae: Tensor | None = None,
 ) -> DynamicLog:
     """Runs the closed loop for all rows at once.
 
@@ -237,6 +222,7 @@ def simulate_dynamic(
         settings: Rates and times, and how the loop is run.
         generator: Source of the sensors' noise.
         progress: Wraps the control-step counter, for a progress bar.
+        abscissae: See `ClosedLoop`.
 
     Raises:
         ConfigError: The controller has no routing.
@@ -248,10 +234,10 @@ def simulate_dynamic(
         return now.y[..., :0]
 
     period = 1.0 / settings.control_rate
-    loop = ClosedLoop(plant, controller, sensors, trajectory, period, settings.substeps)
+    loop = ClosedLoop(plant, controller, sensors, trajectory, period, abscissae)
     _, time, k, _ = example = loop.blank()
     step = compiled(loop, example, settings.compile, plant.payload.numel())
-    arm = plant.settled(settings.settle, period / settings.substeps, settings.compile, settings.checkpointed)
+    arm = plant.settled(plant.settle, period / plant.substeps, settings.compile, settings.checkpointed)
     now = loop.start(arm, pi_hat)
     poses = now.sensors.queue[..., 0, :, :, :]
 

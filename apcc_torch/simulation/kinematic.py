@@ -5,18 +5,19 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
+from apcc_torch.control.adaptation import AdaptiveLaw
 from apcc_torch.control.bounds import scaled_within
 from apcc_torch.control.controller import APCCController
 from apcc_torch.control.step_io import ControllerState, Measurement
 from apcc_torch.control.trajectory import Trajectory
-from apcc_torch.errors import ValueRangeError
+from apcc_torch.errors import ConfigError, ValueRangeError
 from apcc_torch.linalg import damped_pseudo_inverse
 from apcc_torch.model.abscissae import decouple
 from apcc_torch.model.kinematic_model import KinematicModel
 from apcc_torch.native.compiled import compiled
-from apcc_torch.part import hold_rows
+from apcc_torch.part import Part, hold_rows
 from apcc_torch.simulation.progress import Progress, quiet
 from apcc_torch.simulation.rollout import rollout
 
@@ -79,14 +80,17 @@ class ExactState(NamedTuple):
     pi_hat: Tensor
 
 
-class ExactLoop(nn.Module):
+class ExactLoop(Part):
     """One RK4 step of Eqs. (13)-(15), q being known.
 
     Args:
-        controller: Supplies the inverse kinematics and the law; its estimator and filter are not used.
+        controller: Supplies the inverse kinematics and the law of Eq. (15); its estimator and filter are not used.
         pi: (..., n_b) true rest lengths, m.
         trajectory: What to follow.
         dt: Step, s.
+
+    Raises:
+        ConfigError: The controller has other laws.
     """
 
     pi: Tensor
@@ -96,6 +100,7 @@ class ExactLoop(nn.Module):
         self.controller = controller
         self.trajectory = trajectory
         self.dt = dt
+        self.law = _law_of(controller)
         hold_rows(self, pi=(pi, 1))
 
     def start(self, pi_hat: Tensor) -> ExactState:
@@ -114,9 +119,9 @@ class ExactLoop(nn.Module):
         e = target.x_d - backbone.tip(q, self.pi)
         J_hat = backbone.tip_jacobian(q, pi_hat)
         qdot = controller.inverse_kinematics(J_hat, e, target.xdot_d.expand_as(e), q)
-        if not controller.adaptive:
+        if self.law is None:
             return qdot, torch.zeros_like(pi_hat)
-        return qdot, controller.law.velocity(backbone.regressor(q, qdot)[0], e)
+        return qdot, self.law.velocity(backbone.regressor(q, qdot)[0], e)
 
     def forward(self, now: ExactState, time: Tensor) -> tuple[ExactState, tuple[Tensor, ...]]:
         """The state one step later, and the row of the log: `KinematicLog`'s fields without the time."""
@@ -136,6 +141,20 @@ class ExactLoop(nn.Module):
         return ExactState(*later), row
 
 
+def _law_of(controller: APCCController) -> AdaptiveLaw | None:
+    """The law of Eq. (15); None for a controller that adapts nothing.
+
+    Raises:
+        ConfigError: It has other laws: they need sensors, and the proof's case has none.
+    """
+    if not controller.adaptive:
+        return None
+    laws = list(controller.laws)
+    if len(laws) == 1 and isinstance(laws[0], AdaptiveLaw):
+        return laws[0]
+    raise ConfigError("where q is known the law is Eq. (15) alone: residual=none, and an adaptation of it")
+
+
 class FeedbackState(NamedTuple):
     """The true arm's q (..., n), and what the controller remembers."""
 
@@ -143,7 +162,7 @@ class FeedbackState(NamedTuple):
     controller: ControllerState
 
 
-class FeedbackLoop(nn.Module):
+class FeedbackLoop(Part):
     """One period of section V-A: sensors on the true arm, algorithm 2 and the law; qdot is followed for one period.
 
     Args:

@@ -2,21 +2,23 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from dataclasses import dataclass
+from typing import Any, NamedTuple, Self
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
-from apcc_torch.control.pid import TendonPID, TendonReference
+from apcc_torch.control.pid import TendonPID, TendonPIDSettings, TendonReference
 from apcc_torch.errors import ConfigError
+from apcc_torch.model.arm import Arm, ArmChanges, with_changes
 from apcc_torch.model.backbone import PCCBackbone
 from apcc_torch.model.dynamics import EquationOfMotion, SoftArmDynamics
-from apcc_torch.model.friction import TendonTransmission
+from apcc_torch.model.friction import TendonTransmission, TendonTransmissionSettings
 from apcc_torch.model.integrators import Actuation, ArmState, guard, semi_implicit_step
 from apcc_torch.model.tendons import TendonRouting
-from apcc_torch.native.compiled import compiled
-from apcc_torch.part import hold, hold_rows
-from apcc_torch.settings import Setting, aligned, check_setting
+from apcc_torch.native.compiled import Step, compiled
+from apcc_torch.part import Part, hold_rows
+from apcc_torch.settings import OURS, PAPER, Setting, Settings, aligned, resolved, setting
 from apcc_torch.simulation.rollout import rollout
 
 
@@ -28,51 +30,113 @@ class PlantState(NamedTuple):
     diverged_at: Tensor
 
 
-class Plant(nn.Module):
+@dataclass(frozen=True, kw_only=True)
+class PlantSettings(Settings):
+    """Settings of `Plant`, and of the arm that it is made from."""
+
+    tendon_damping: Setting = setting(
+        200.0,
+        "N s/m",
+        OURS,
+        "viscous friction of each tendon in its guides",
+        rows="number",
+        least=0,
+    )
+    pid: TendonPIDSettings = setting(factory=TendonPIDSettings, meaning="the loop on the tendons' lengths")
+    transmission: TendonTransmissionSettings | None = setting(
+        None, "", PAPER, "slack and dry friction between motors and arm; null: the arm feels the motors' forces"
+    )
+    arm: ArmChanges = setting(factory=ArmChanges, meaning="what differs on the true arm from what is believed of it")
+    refine: int = setting(2, "", PAPER, "sections of the true arm in one of the model's", least=1)
+    substeps: int = setting(2, "", OURS, "plant steps in one control period", least=1)
+    settle: float = setting(3.0, "s", OURS, "at rest under gravity before the clock starts", least=0)
+    bound: float = setting(
+        1e3, "rad, m, 1/s", OURS, "of a coordinate or its rate, beyond which a row has diverged", above=0, key=False
+    )
+
+
+class Plant(Part):
     """The true arm and its tendon loop.
 
     Args:
         dynamics: The arm.
         routing: Its tendons.
-        pid: The loop on their lengths.
+        pid: The loop on their lengths; None for that of the settings.
         payload: (..., R) tip mass, kg.
-        tendon_damping: Viscous friction of each tendon in its guides, N s/m, a number or (...) one a row.
-        transmission: Slack and dry friction between the motors and the arm; None: the arm feels the motors' forces.
-        bound: Largest magnitude of a coordinate or its rate before a row counts as diverged.
+        *settings, **changes: See `PlantSettings`.
+        transmission: Slack and dry friction; None for that of the settings.
 
     Raises:
         ConfigError: The dynamics' base rotation is batched.
+
+    Example:
+        >>> plant = Plant.on(Arm(lengths=[0.2, 0.25]), torch.tensor([0.0, 0.2]).double(), PlantSettings())
+        >>> plant.straight((2,)).arm.q.shape
+        torch.Size([2, 12])
     """
 
+    settings_type = PlantSettings
     payload: Tensor
     B: Tensor
     actuation_stiffness: Tensor
     actuation_damping: Tensor
     tendon_damping: Setting
+    refine: int
+    substeps: int
+    settle: float
+    bound: float
 
     def __init__(
         self,
         dynamics: SoftArmDynamics,
         routing: TendonRouting,
-        pid: TendonPID,
+        pid: TendonPID | None,
         payload: Tensor,
-        tendon_damping: Setting = 0.0,
+        *settings: Any,
         transmission: TendonTransmission | None = None,
-        bound: float = 1e3,
+        **changes: Any,
     ) -> None:
         super().__init__()
-        check_setting("tendon_damping", tendon_damping, zero=True)
+        s = resolved(PlantSettings, settings, changes)
         if dynamics.base_rotation.dim() != 2:
             raise ConfigError("base_rotation of the plant must be one (3, 3) rotation, shared by all rows")
         self.dynamics = dynamics
-        self.pid = pid
-        hold(self, payload=payload, tendon_damping=tendon_damping)
+        self.routing = routing
+        self.pid = TendonPID(s.pid) if pid is None else pid
+        if transmission is None and s.transmission is not None:
+            transmission = TendonTransmission(routing, s.transmission)
         self.transmission = transmission
-        self.bound = bound
         self.backbone = PCCBackbone(dynamics.n_sections, dynamics.base_rotation)
+        self.hold(s)
         B = routing.matrix(dynamics.lengths)
-        stiffness, damping = (aligned(gain, 2) * (B @ B.mT) for gain in (pid.K_P, pid.K_D + tendon_damping))
-        hold_rows(self, B=(B, 2), actuation_stiffness=(stiffness, 2), actuation_damping=(damping, 2))
+        gains = (self.pid.K_P, self.pid.K_D + s.tendon_damping)
+        stiffness, damping = (aligned(gain, 2) * (B @ B.mT) for gain in gains)
+        hold_rows(self, payload=(payload, 0), B=(B, 2))
+        hold_rows(self, actuation_stiffness=(stiffness, 2), actuation_damping=(damping, 2))
+
+    @classmethod
+    def on(cls, arm: Arm, payload: Tensor, settings: PlantSettings) -> Self:
+        """The plant of an arm, with what differs on the true one.
+
+        Args:
+            arm: As it is believed to be.
+            payload: (..., R) kg.
+            settings: Of `settings_type`.
+        """
+        true = with_changes(arm, settings.arm)
+        return cls(true.dynamics(settings.refine), true.routing(), None, payload, settings)
+
+    def limp(self) -> Self:
+        """The same arm without torque on its motors: its tendons are dragged along."""
+        loose = TendonPID(K_P=0.0, K_I=0.0, K_D=0.0)
+        rest = {"transmission": None, "pid": TendonPIDSettings()}
+        settings = self.settings.changed(**rest)
+        return type(self)(self.dynamics, self.routing, loose, self.payload, settings, transmission=self.transmission)
+
+    def stepper(self, dt: float, compile: str) -> Step:
+        """Steps of dt seconds as (state, reference) -> state, run as `native.compiled` says."""
+        step = PlantStep(self, dt)
+        return compiled(step, step.blank(), compile, self.payload.numel())
 
     def lengths(self, v: Tensor) -> Tensor:
         """B^T v: tendon length changes (..., n_a) of a configuration, or their rates of a velocity."""
@@ -160,7 +224,7 @@ class Plant(nn.Module):
         return PlantState(ArmState(q, q), z, torch.full(batch, -1, dtype=torch.int64, device=lengths.device))
 
 
-class PlantStep(nn.Module):
+class PlantStep(Part):
     """One step of an arm towards a reference of its tendons.
 
     Args:

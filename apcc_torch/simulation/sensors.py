@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
-from apcc_torch.errors import ValueRangeError
 from apcc_torch.lie import se3
-from apcc_torch.part import check_settings_or_zero, hold
-from apcc_torch.settings import Setting, aligned, is_used
+from apcc_torch.part import Part
+from apcc_torch.settings import OURS, Setting, Settings, aligned, is_on, resolved, setting
 from apcc_torch.shapes import check_tensor
 
 
@@ -27,43 +27,55 @@ class Draws(NamedTuple):
     chance: Tensor | None
 
 
-class PoseSensors(nn.Module):
+@dataclass(frozen=True, kw_only=True)
+class PoseSensorsSettings(Settings):
+    """Settings of `PoseSensors`."""
+
+    position_noise: Setting = setting(
+        0.0, "m", OURS, "standard deviation of each coordinate", rows="number", least=0, apart=True
+    )
+    angular_noise: Setting = setting(
+        0.0, "rad", OURS, "standard deviation of each rotation-vector component", rows="number", least=0, apart=True
+    )
+    delay: int = setting(0, "", OURS, "control periods by which a reading is late", least=0)
+    dropout: Setting = setting(
+        0.0, "", OURS, "chance that a sensor is missing in a reading", rows="number", least=0, below=1, apart=True
+    )
+
+
+class PoseSensors(Part):
     """Turns true poses into measured ones.
 
     Args:
-        position_noise: Standard deviation of each coordinate, m, a number or (...) one a row.
-        angular_noise: Standard deviation of each component of the rotation vector, rad, likewise.
-        delay: Readings by which a measurement is late.
-        dropout: Chance that a sensor is missing in a reading, independent for each, a number or (...).
+        *settings, **changes: See `PoseSensorsSettings`; numbers but the delay may be tensors (...), one a row.
         shared: Number of leading dimensions over which the draws are the same, as in runs of one seed side by side.
 
     Raises:
         ValueRangeError: A setting is out of range.
+
+    Example:
+        >>> sensors = PoseSensors(position_noise=2e-4)
+        >>> T = torch.eye(4).repeat(3, 1, 1)
+        >>> state, seen, mask = sensors(sensors.initial_state(T), T, torch.Generator().manual_seed(0))
+        >>> seen.shape, mask.tolist()
+        (torch.Size([3, 4, 4]), [True, True, True])
     """
 
+    settings_type = PoseSensorsSettings
     position_noise: Setting
     angular_noise: Setting
+    delay: int
     dropout: Setting
 
-    def __init__(
-        self,
-        position_noise: Setting = 0.0,
-        angular_noise: Setting = 0.0,
-        delay: int = 0,
-        dropout: Setting = 0.0,
-        shared: int = 0,
-    ) -> None:
+    def __init__(self, *settings: Any, shared: int = 0, **changes: Any) -> None:
         super().__init__()
-        check_settings_or_zero(position_noise=position_noise, angular_noise=angular_noise)
-        if delay < 0:
-            raise ValueRangeError(f"delay must be zero or more readings, got {delay}")
-        for chance in dropout.flatten().tolist() if isinstance(dropout, Tensor) else (dropout,):
-            if not 0 <= chance < 1:
-                raise ValueRangeError(f"dropout must be in [0, 1), got {chance}")
-        hold(self, position_noise=position_noise, angular_noise=angular_noise, dropout=dropout)
-        self.delay = delay
         self.shared = shared
-        self._noisy, self._drops = is_used(position_noise) or is_used(angular_noise), is_used(dropout)
+        self.hold(resolved(PoseSensorsSettings, settings, changes))
+
+    @property
+    def noisy(self) -> bool:
+        """Whether anything is added to a reading."""
+        return is_on(self.position_noise) or is_on(self.angular_noise)
 
     def initial_state(self, T: Tensor) -> SensorState:
         """State of a sensor that has long seen poses T (..., k, 4, 4)."""
@@ -79,9 +91,9 @@ class PoseSensors(nn.Module):
         """
         drawn = T.shape[self.shared : -2]
         noise = chance = None
-        if self._noisy:
+        if self.noisy:
             noise = torch.randn(*drawn, 6, dtype=T.dtype, device=T.device, generator=generator)
-        if self._drops:
+        if is_on(self.dropout):
             chance = torch.rand(drawn, dtype=T.dtype, device=T.device, generator=generator)
         return Draws(noise, chance)
 

@@ -6,16 +6,15 @@ import json
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict
 from pathlib import Path
 from types import ModuleType
 from typing import Any, NamedTuple
 
 import numpy as np
 import torch
-from omegaconf import OmegaConf
 
-from apcc_torch.composition.batch import Point, stacked
+from apcc_torch.composition.schema import text
+from apcc_torch.composition.stacking import Point, stacked
 from apcc_torch.errors import ApccError
 from apcc_torch.experiments import dynamic, kinematic
 from apcc_torch.experiments.folder import RunFolder
@@ -34,7 +33,7 @@ class Task(NamedTuple):
     """What a worker is given.
 
     name: Of the chunk's file, without suffix.
-    points: Of one `configs.batch.structure`.
+    points: Of one `stacking.structure`.
     folder: Where the file goes.
     objective: The metric that ranks points.
     kept: How many of the best, and how many of the worst, leave a folder each.
@@ -47,7 +46,7 @@ class Task(NamedTuple):
     kept: tuple[int, int]
 
 
-class Part(NamedTuple):
+class ChunkResult(NamedTuple):
     """What a chunk left: metrics of its points by their numbers, and why others failed."""
 
     metrics: dict[int, dict[str, float]]
@@ -71,7 +70,7 @@ def chosen(order: Sequence[int], kept: tuple[int, int]) -> list[int]:
 
 def compute(task: Task, tell: Tell) -> None:
     """Runs a chunk and writes its file; before it, the folders of its best and worst points."""
-    part = Part({}, {})
+    part = ChunkResult({}, {})
     held: dict[int, Any] = {}
     _compute(task, task.points, part, held, tell)
     for index in chosen(rank(part.metrics, task.objective), task.kept):
@@ -81,7 +80,7 @@ def compute(task: Task, tell: Tell) -> None:
     write_json(task.folder / f"{task.name}.json", entry)
 
 
-def _compute(task: Task, points: Sequence[Point], part: Part, held: dict[int, Any], tell: Tell) -> None:
+def _compute(task: Task, points: Sequence[Point], part: ChunkResult, held: dict[int, Any], tell: Tell) -> None:
     """Runs points side by side. Where one of them is refused, each half on its own: only that one is lost."""
     started = time.perf_counter()
     kind = KINDS[points[0].config.experiment.kind]
@@ -129,7 +128,7 @@ def _steps(points: int, tell: Tell) -> Progress:
 
 def save(point: Point, outcome: Any, metrics: Mapping[str, float], folder: Path) -> None:
     """Writes a point's run folder, without figures."""
-    write_atomically(folder / "config.yaml", OmegaConf.to_yaml(OmegaConf.create(asdict(point.config))))
+    write_atomically(folder / "config.yaml", text(point.config))
     arrays = KINDS[point.config.experiment.kind].arrays(outcome)
     RunFolder(folder).write(metrics, arrays, point.config.seed)
 
@@ -142,10 +141,10 @@ def draw(config: Any, folder: Path) -> None:
     kind.draw(kind.loaded(config, tensors), folder / "figures")
 
 
-def read_part(path: Path) -> Part:
+def read_part(path: Path) -> ChunkResult:
     """A chunk's file."""
     entry = json.loads(path.read_text(encoding="utf-8"))
-    return Part(
+    return ChunkResult(
         {int(index): metrics for index, metrics in entry["metrics"].items()},
         {int(index): why for index, why in entry["failed"].items()},
     )

@@ -18,9 +18,9 @@ from hydra.errors import HydraException
 from omegaconf import DictConfig, ListConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from apcc_torch.composition.batch import Point
-from apcc_torch.composition.schema import SimulateConfig
-from apcc_torch.composition.typed import typed
+from apcc_torch.composition.run_settings import SimulateSettings
+from apcc_torch.composition.schema import typed
+from apcc_torch.composition.stacking import Point
 from apcc_torch.errors import ConfigError
 
 FLAG = "--batch"
@@ -103,7 +103,7 @@ class _Base:
         self.linked = "${" in OmegaConf.to_yaml(OmegaConf.masked_copy(cfg, [str(key) for key in cfg if key != "hydra"]))
         self.known: dict[str, Any] = {}
 
-    def changed(self, choices: Sequence[Choice]) -> SimulateConfig:
+    def changed(self, choices: Sequence[Choice]) -> SimulateSettings:
         if self.linked or any(choice.key.count(".") > 1 for choice in choices):
             return self._updated(choices)
         config = self.config
@@ -113,25 +113,25 @@ class _Base:
             config = _with(config, choice.key, self.known[choice.override])
         return config
 
-    def _updated(self, choices: Sequence[Choice]) -> SimulateConfig:
+    def _updated(self, choices: Sequence[Choice]) -> SimulateSettings:
         cfg = self.cfg.copy()
         for choice in choices:
             OmegaConf.update(cfg, choice.key, choice.value, merge=True)
         return self._typed(cfg)
 
     @staticmethod
-    def _typed(cfg: DictConfig) -> SimulateConfig:
-        return replace(typed(cfg, SimulateConfig), batch=None)
+    def _typed(cfg: DictConfig) -> SimulateSettings:
+        return replace(typed(cfg, SimulateSettings), batch=None)
 
 
-def _at(config: SimulateConfig, key: str) -> Any:
+def _at(config: SimulateSettings, key: str) -> Any:
     value: Any = config
     for name in key.split("."):
         value = getattr(value, name)
     return value
 
 
-def _with(config: SimulateConfig, key: str, value: Any) -> SimulateConfig:
+def _with(config: SimulateSettings, key: str, value: Any) -> SimulateSettings:
     section, _, name = key.rpartition(".")
     if not section:
         return replace(config, **{name: value})

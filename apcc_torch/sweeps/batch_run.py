@@ -14,21 +14,21 @@ import time
 from collections.abc import Hashable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import torch
 
-from apcc_torch.composition.batch import Point, structure
 from apcc_torch.composition.build import Builder
-from apcc_torch.composition.choice import choice
-from apcc_torch.composition.schema import SimulateConfig
+from apcc_torch.composition.run_settings import SimulateSettings
+from apcc_torch.composition.stacking import Point, structure
 from apcc_torch.errors import ConfigError
 from apcc_torch.experiments.folder import progress_bar, versions
 from apcc_torch.experiments.run import METRICS
 from apcc_torch.files import write_atomically, write_json
-from apcc_torch.sweeps.batch_chunk import KINDS, Part, Task, chosen, compute, draw, is_finite, rank, read_part
+from apcc_torch.reading import plain
+from apcc_torch.settings import check_choice
+from apcc_torch.sweeps.batch_chunk import KINDS, ChunkResult, Task, chosen, compute, draw, is_finite, rank, read_part
 
 log = logging.getLogger("apcc_torch.simulate")
 
@@ -43,7 +43,7 @@ SCRATCH_MIB = 0.15
 NOT_THE_RUN = ("resume", "jobs", "progress", "prune", "figures", "threads", "batch_memory_mib", "batch_workers")
 
 
-def run(config: SimulateConfig, points: Sequence[Point], folder: Path) -> dict[str, float]:
+def run(config: SimulateSettings, points: Sequence[Point], folder: Path) -> dict[str, float]:
     """Runs all points of a batch and writes its folder; returns the metrics of the whole.
 
     Every finished chunk is kept in a hidden folder, so that a run that was killed goes on where it was with
@@ -100,44 +100,42 @@ def run(config: SimulateConfig, points: Sequence[Point], folder: Path) -> dict[s
     return found
 
 
-def _check(config: SimulateConfig, points: Sequence[Point]) -> None:
+def _check(config: SimulateSettings, points: Sequence[Point]) -> None:
     for point in points:
         if point.config.experiment.kind not in KINDS:
-            choice("experiment.kind of a batch", point.config.experiment.kind, tuple(KINDS))
+            check_choice("experiment.kind of a batch", point.config.experiment.kind, tuple(KINDS))
     if config.prune.after is not None:
         raise ConfigError("prune.after ends runs one by one, and a batch has none; leave it null")
-    for name, least in {"batch_kept": 0, "batch_memory_mib": 1, "batch_workers": 1}.items():
-        if getattr(config, name) < least:
-            raise ConfigError(f"{name} must be at least {least}, got {getattr(config, name)}")
 
 
-def parts_folder(config: SimulateConfig, points: Sequence[Point], folder: Path) -> Path:
+def parts_folder(config: SimulateSettings, points: Sequence[Point], folder: Path) -> Path:
     """Where finished chunks wait: hidden in the batch's folder, or in that of the sweep if the batch is a job of one.
 
     Its name tells what is computed, so that other settings never meet the chunks of these.
     """
-    settings = {key: value for key, value in asdict(config).items() if key not in NOT_THE_RUN}
+    settings = {key: value for key, value in plain(config).items() if key not in NOT_THE_RUN}
     told = json.dumps([settings, [point.settings for point in points], versions()], sort_keys=True, default=str)
     # A job of a sweep writes into a draft, which is gone if the job is killed.
     outer = folder.parent if folder.name.startswith(".") and folder.name.endswith(".draft") else folder
     return outer / f".batch_{hashlib.sha256(told.encode()).hexdigest()[:16]}"
 
 
-def point_mib(config: SimulateConfig) -> tuple[int, float]:
+def point_mib(config: SimulateSettings) -> tuple[int, float]:
     """Rows that one point takes, and its memory in MiB: its log, twice while it is read, and scratch."""
-    e, model, k = config.experiment, Builder(config).backbone(), len(config.robot.sensors)
+    e, model, k = config.experiment, Builder(config).backbone(), config.arm.sensor_places().shape[-1]
     numbers = 6 + 2 * model.n + model.n_sections + 2 * k + 1
     if e.kind == "kinematic":
         rows = 1 + e.start_errors
     else:
         rows = len(e.setpoints or [None]) * len(e.payloads)
-        numbers += model.n + 3 * len(config.plant.lengths) + 3 * len(config.robot.racks) * config.robot.tendons_per_rack
+        numbers += model.n + 3 * config.arm.n_sections * config.plant.refine + 3 * config.arm.n_tendons  # type: ignore[attr-defined]
     steps = round(e.duration * config.controller.rate) + 1
-    filtered = 4 * config.velocity_filter.window * model.n // 3
+    window = config.velocity_filter.window
+    filtered = 4 * int(torch.as_tensor(window).max()) * model.n // 3
     return rows, rows * (SCRATCH_MIB + 8.0 * (2.0 * steps * numbers + filtered) / 2**20)
 
 
-def chunks(points: Sequence[Point], config: SimulateConfig) -> Iterator[Sequence[Point]]:
+def chunks(points: Sequence[Point], config: SimulateSettings) -> Iterator[Sequence[Point]]:
     """Points side by side, each chunk of one structure and small enough for `batch_memory_mib` over all workers."""
     groups: dict[Hashable, list[Point]] = {}
     for point in points:
@@ -152,9 +150,9 @@ def chunks(points: Sequence[Point], config: SimulateConfig) -> Iterator[Sequence
             yield group[len(group) * i // count : len(group) * (i + 1) // count]
 
 
-def gathered(parts: Path) -> Part:
+def gathered(parts: Path) -> ChunkResult:
     """All finished chunks as one."""
-    whole = Part({}, {})
+    whole = ChunkResult({}, {})
     for path in sorted(parts.glob("*.json")):
         part = read_part(path)
         whole.metrics.update(part.metrics)
@@ -162,7 +160,7 @@ def gathered(parts: Path) -> Part:
     return whole
 
 
-def table(points: Sequence[Point], whole: Part) -> str:
+def table(points: Sequence[Point], whole: ChunkResult) -> str:
     """points.csv: a point, its swept keys, its metrics; those of a point that failed are empty."""
     names = list(dict.fromkeys(name for metrics in whole.metrics.values() for name in metrics))
     text = io.StringIO()
@@ -176,7 +174,7 @@ def table(points: Sequence[Point], whole: Part) -> str:
     return text.getvalue()
 
 
-def _keep(points: Sequence[Point], parts: Path, folder: Path, config: SimulateConfig) -> None:
+def _keep(points: Sequence[Point], parts: Path, folder: Path, config: SimulateSettings) -> None:
     """Puts the folders of the best and the worst points into place, with their figures."""
     shutil.rmtree(folder / "points", ignore_errors=True)
     for point in points:
@@ -191,7 +189,7 @@ def _keep(points: Sequence[Point], parts: Path, folder: Path, config: SimulateCo
         shutil.move(draft, folder / "points" / str(point.number))
 
 
-def _work(tasks: Sequence[Task], total: int, done: int, config: SimulateConfig) -> None:
+def _work(tasks: Sequence[Task], total: int, done: int, config: SimulateSettings) -> None:
     """Runs the chunks, over several processes where there are several."""
     bar = _Bar(total, done, config)
     if len(tasks) < 2 or config.batch_workers == 1:
@@ -240,7 +238,7 @@ def _compute_there(task: Task) -> None:
 class _Bar:
     """One bar over the points of a batch, which may be done in parts."""
 
-    def __init__(self, total: int, done: int, config: SimulateConfig) -> None:
+    def __init__(self, total: int, done: int, config: SimulateSettings) -> None:
         self.done, self.shown = float(done), 0
         self.steps = iter(progress_bar("batch", config.progress)(range(total + 1)))
         self.before = float(done)

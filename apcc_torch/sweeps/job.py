@@ -9,8 +9,8 @@ from pathlib import Path
 
 from omegaconf import DictConfig
 
-from apcc_torch.composition.batch import Point
-from apcc_torch.composition.schema import SimulateConfig
+from apcc_torch.composition.run_settings import SimulateSettings
+from apcc_torch.composition.stacking import Point
 from apcc_torch.errors import ApccError
 from apcc_torch.experiments.folder import metrics_text, progress_told
 from apcc_torch.experiments.run import objective_in, run, settings_of
@@ -70,7 +70,7 @@ def run_job(
     return math.inf
 
 
-def _work(config: SimulateConfig, draft: Path, points: Sequence[Point] | None) -> None:
+def _work(config: SimulateSettings, draft: Path, points: Sequence[Point] | None) -> None:
     with progress_told(draft / PROGRESS):
         metrics = run(config, draft) if points is None else batch.run(config, points, draft)
     log.info("done\n%s", metrics_text(metrics))

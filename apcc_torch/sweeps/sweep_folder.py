@@ -13,15 +13,15 @@ import re
 import shutil
 import uuid
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict
 from itertools import chain
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from apcc_torch.composition.schema import SimulateConfig
+from apcc_torch.composition.run_settings import SimulateSettings
 from apcc_torch.errors import ConfigError, DataError
 from apcc_torch.experiments.run import PRUNED, pruning
 from apcc_torch.files import write_json
+from apcc_torch.reading import plain
 
 JOB, FAILURE, PROGRESS = "job.json", "failure.json", "progress.json"
 DRAFT = re.compile(r"\.(?P<name>.+)\.\d+\.draft")
@@ -39,9 +39,9 @@ class Failure(NamedTuple):
     why: str
 
 
-def fingerprint(config: SimulateConfig) -> str:
+def fingerprint(config: SimulateSettings) -> str:
     """The same for two configurations exactly when their runs are the same."""
-    settings = {key: value for key, value in asdict(config).items() if key not in NOT_THE_RUN}
+    settings = {key: value for key, value in plain(config).items() if key not in NOT_THE_RUN}
     return hashlib.sha256(json.dumps(settings, sort_keys=True).encode()).hexdigest()[:16]
 
 
@@ -100,7 +100,7 @@ class SweepFolder:
             found.append(Failure(folder, [str(o) for o in record["overrides"]], str(record["why"])))
         return sorted(found, key=lambda failure: (len(failure.folder.name), failure.folder.name))
 
-    def find(self, config: SimulateConfig, name: str) -> Path | None:
+    def find(self, config: SimulateSettings, name: str) -> Path | None:
         """The finished folder of a run of this configuration.
 
         Args:
@@ -114,7 +114,7 @@ class SweepFolder:
                 return folder
         return None
 
-    def publish(self, draft: Path, config: SimulateConfig, overrides: Sequence[str]) -> Path:
+    def publish(self, draft: Path, config: SimulateSettings, overrides: Sequence[str]) -> Path:
         """Renames a draft into place under its job's name, or the next free one; returns the new path."""
         name = job_name(draft)
         write_json(draft / JOB, {"name": name, "overrides": list(overrides), "fingerprint": fingerprint(config)})
@@ -155,7 +155,7 @@ class SweepFolder:
             _discard(folder)
 
 
-def _still_pruned(folder: Path, config: SimulateConfig) -> bool:
+def _still_pruned(folder: Path, config: SimulateSettings) -> bool:
     """Whether a finished run is what this configuration would leave: a run is pruned under certain settings only."""
     record = folder / PRUNED
     if not record.is_file():

@@ -1,0 +1,128 @@
+"""What a run can be set to: the root of `simulate`, and what `robot` shares with it. Keys are the parts' settings."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from apcc_torch.control.composite_controller import CompositeController
+from apcc_torch.control.control_settings import ControlSettings
+from apcc_torch.model.arm import Arm, Lengths
+from apcc_torch.native.compiled import MODES
+from apcc_torch.settings import OURS, PAPER, Numbers, Setting, Settings, setting
+from apcc_torch.simulation.plant import Plant, PlantSettings
+from apcc_torch.simulation.sensors import PoseSensorsSettings
+
+Points = tuple[Any, ...]
+"""Lists of three numbers, m; or a tensor, one set a row."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExperimentSettings(Settings):
+    """What is run."""
+
+    name: str = setting(meaning="of the experiment")
+    kind: str = setting(meaning="kinematic, dynamic or replay; on an arm also tendons or calibration")
+    duration: float = setting(10.0, "s", PAPER, "of the run", above=0)
+    r_0: Numbers | None = setting(None, "m", PAPER, "centre of the sine trajectory, Eq. (51)", rows="sections")
+    A: Numbers | None = setting(None, "m", PAPER, "its amplitude", rows="sections")
+    omega: Setting | None = setting(None, "rad/s", PAPER, "its angular frequency; null: 0.2 pi", rows="number", above=0)
+    setpoints: Points | None = setting(None, "m", PAPER, "targets, lists of 3 numbers; null: the sine", rows="points")
+    payloads: Lengths = setting((0.0,), "kg", PAPER, "at the tip, one row each for every set-point", rows="sections")
+    subset: str = setting(
+        "all",
+        "",
+        OURS,
+        "of the set-points: all; training, those with even index; held_out, the others",
+        choices=("all", "training", "held_out"),
+    )
+    first_estimate: Numbers = setting(
+        1.0, "", PAPER, "pi_hat at the start over the arm's rest lengths", rows="sections", above=0
+    )
+    start_errors: int = setting(0, "", OURS, "extra rows with pi_hat(0) drawn around the rest lengths", least=0)
+    start_error: float = setting(0.15, "", OURS, "their largest relative error", above=0, below=1)
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunSettings(ControlSettings):
+    """What a run has, in simulation and on an arm alike: the arm, its controller, the true arm, the experiment."""
+
+    arm: Arm = setting(meaning="the arm, as it is believed to be")
+    plant: Settings = setting(factory=PlantSettings, meaning="the true arm of a simulation", base=Plant)
+    sensors: PoseSensorsSettings = setting(
+        factory=PoseSensorsSettings, meaning="what a simulation's sensors add to the truth"
+    )
+    experiment: ExperimentSettings = setting(meaning="what is run")
+    seed: int = setting(0, "", OURS, "of every random number in the run", least=0, most=2**63 - 1)
+    dtype: str = setting("float64", "", OURS, "float64 or float32", choices=("float64", "float32"))
+    compile: str = setting(
+        "off",
+        "",
+        OURS,
+        "the loop as: off, eager torch; aot, machine code, built once; inductor",
+        choices=MODES,
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReplaySettings(Settings):
+    """How a recording is read."""
+
+    layout: str = setting(
+        "auto", "", OURS, "auto, columns (docs/recordings.md) or trunk", choices=("auto", "columns", "trunk")
+    )
+    rate: float = setting(100.0, "Hz", OURS, "for layouts without time stamps", above=0)
+    direction: tuple[float, ...] | None = setting(
+        None, "", OURS, "the way the resting arm points in the recording's frame; null: along its sensors"
+    )
+    forward: tuple[float, ...] | None = setting(
+        None, "", OURS, "what the base's x axis follows in the recording's frame; null: the recording's x axis"
+    )
+    base_position: tuple[float, ...] | None = setting(
+        None, "m", OURS, "in the recording's frame; null: one mean spacing before the first sensor"
+    )
+    first_abscissa: float | None = setting(
+        None, "m", OURS, "from the base to the first sensor, instead of base_position", above=0
+    )
+    max_twist: float = setting(0.8, "rad", OURS, "about the arm's axis; more is a swap of markers", above=0)
+    max_speed: float = setting(1.0, "m/s", OURS, "faster is a jump", above=0)
+    max_angular_rate: float = setting(8.0, "rad/s", OURS, "faster is a jump", above=0)
+    frames: int | None = setting(None, "", OURS, "replay only so many; null: all", least=1)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PruneSettings(Settings):
+    """Which runs a search ends early: pruned.json instead of metrics.json."""
+
+    after: float | None = setting(
+        None, "s", OURS, "of the run that are tried first; where a row diverges, that was it; null: no try", above=0
+    )
+    above: float | None = setting(None, "", OURS, "bound on the objective of the try, in its unit; null: none")
+
+
+@dataclass(frozen=True, kw_only=True)
+class SimulateSettings(RunSettings):
+    """Root of `python -m apcc_torch.simulate`."""
+
+    replay: ReplaySettings = setting(factory=ReplaySettings, meaning="of a recording")
+    dynamics_law: Settings | None = setting(
+        None, "", PAPER, "feed-forward of the tendon loop; null: none", base=CompositeController
+    )
+    state: str = setting(
+        "feedback", "", PAPER, "feedback, algorithm 2 in the loop; exact, q is known", choices=("feedback", "exact")
+    )
+    data: str | None = setting(None, "", OURS, "folder or file of a recording")
+    device: str = setting("cpu", "", OURS, "a torch device")
+    threads: int | None = setting(
+        1, "", OURS, "torch threads; small batches run fastest on one; null: torch's choice", least=1
+    )
+    figures: bool = setting(True, "", OURS, "write the figures")
+    progress: bool = setting(True, "", OURS, "show progress bars where there is a terminal")
+    objective: str | None = setting(None, "", OURS, "the metric that a search lowers, a name in metrics.json")
+    prune: PruneSettings = setting(factory=PruneSettings, meaning="end bad runs of a search early")
+    resume: bool = setting(False, "", OURS, "with hydra.sweep.dir=FOLDER: run only what is missing there")
+    jobs: int = setting(2, "", OURS, "jobs of a sweep side by side; 1: one after the other; -1: one a core", least=-1)
+    batch: Any = setting(None, "", OURS, 'sweeps as rows of one tensor batch: ["adaptation.gamma=10,20"]')
+    batch_kept: int = setting(4, "", OURS, "of its points, best and worst, that keep a run folder each", least=0)
+    batch_memory_mib: int = setting(4096, "MiB", OURS, "that its processes may take together, about", least=1)
+    batch_workers: int = setting(2, "", OURS, "processes that share its chunks", least=1)

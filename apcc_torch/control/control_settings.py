@@ -1,0 +1,97 @@
+"""What a controller is made of, as settings: the groups `feedback`, `controller`, `adaptation`, … of a command line."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from typing import Any, Self
+
+from apcc_torch.control.adaptation import NormalisedLawSettings
+from apcc_torch.control.inverse_kinematics import InverseKinematicsSettings
+from apcc_torch.control.length_bounds import LengthBoundsSettings
+from apcc_torch.control.length_law import LengthLaw
+from apcc_torch.control.residual_adaptation import ResidualLawSettings
+from apcc_torch.control.task_integral import TaskIntegralSettings
+from apcc_torch.errors import ConfigError
+from apcc_torch.estimation.pose_filter import PoseFilterSettings
+from apcc_torch.estimation.savitzky_golay import SavitzkyGolaySettings
+from apcc_torch.estimation.state_feedback import StateFeedbackSettings
+from apcc_torch.model.backbone import PCCBackbone
+from apcc_torch.model.kinematic_model import KinematicModel
+from apcc_torch.settings import OURS, PAPER, Setting, Settings, did_you_mean, names, setting
+
+
+@dataclass(frozen=True, kw_only=True)
+class ControllerSettings(Settings):
+    """Settings of `APCCController`."""
+
+    adaptive: bool = setting(True, "", PAPER, "false: pi_hat stays fixed, the standard controller")
+    velocity: str = setting(
+        "measured",
+        "",
+        PAPER,
+        "qdot of the regressor: measured, the filtered derivative of q_bar; commanded, without lag or noise",
+        choices=("measured", "commanded"),
+    )
+    bend_bound: Setting | None = setting(
+        None, "rad", OURS, "bound on the bends of q_d; null: none", rows="number", above=0
+    )
+    elongation_bound: Setting | None = setting(
+        None, "m", OURS, "bound on the elongations of q_d; null: none", rows="number", above=0
+    )
+    reference_damping: float = setting(
+        0.0, "s", OURS, "T in y = B_hat^T (q_d - T qdot_bar), damps the arm's swinging; 0: Eq. (49)", least=0, key=False
+    )
+    integration_limit: float = setting(
+        0.1, "s", OURS, "longest step that is integrated; after a longer pause the rest is left out", above=0, key=False
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class ControllerKeys(ControllerSettings, InverseKinematicsSettings):
+    """The keys of `controller`: its own settings and those of its inverse kinematics."""
+
+    rate: float = setting(100.0, "Hz", OURS, "of the loop that runs it in a simulation", above=0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ControlSettings(Settings):
+    """What a controller is made of. The defaults are those of section V-A, for any arm."""
+
+    model: Settings = setting(factory=PCCBackbone.settings_type, meaning="the kinematic model", base=KinematicModel)
+    feedback: StateFeedbackSettings = setting(factory=StateFeedbackSettings, meaning="algorithm 2")
+    pose_filter: PoseFilterSettings | None = setting(
+        None, "", OURS, "of the sensors' poses; null: as they are measured"
+    )
+    velocity_filter: SavitzkyGolaySettings = setting(factory=SavitzkyGolaySettings, meaning="derivative of q_bar")
+    controller: ControllerKeys = setting(factory=ControllerKeys, meaning="inverse kinematics and the controller's own")
+    adaptation: Settings | None = setting(
+        factory=NormalisedLawSettings, meaning="law of the rest lengths; null: none", base=LengthLaw
+    )
+    residual: Settings | None = setting(
+        factory=ResidualLawSettings, meaning="a second law, of the sensors' residuals; null: none", base=LengthLaw
+    )
+    bounds: LengthBoundsSettings = setting(factory=LengthBoundsSettings, meaning="of pi_hat, whatever the laws say")
+    integral: TaskIntegralSettings | None = setting(
+        None, "", PAPER, "integral action on the task error; null: none, Eq. (14)"
+    )
+
+    def with_keys(self, changes: Mapping[str, Any]) -> Self:
+        """A copy with changes by name: of a group, settings or a mapping; of a key, the first group's that has it.
+
+        Raises:
+            ConfigError: No group has the key.
+        """
+        groups = {each.name: getattr(self, each.name) for each in fields(self)}
+        order = ("controller", "feedback", "velocity_filter", "adaptation", "bounds", "residual")
+        for name, value in changes.items():
+            if name in groups:
+                group = groups[name]
+                groups[name] = group.changed(**value) if isinstance(value, Mapping) and group is not None else value
+                continue
+            owner = next((g for g in order if groups[g] is not None and name in names(type(groups[g]))), None)
+            if owner is None:
+                known = [key for g in order if groups[g] is not None for key in names(type(groups[g]))]
+                raise ConfigError(f"a controller has no setting {name!r}{did_you_mean(name, [*groups, *known])}")
+            groups[owner] = groups[owner].changed(**{name: value})
+        return type(self)(**groups)

@@ -1,0 +1,113 @@
+"""Bounds of the rest lengths, relative to the arm: whatever laws run, pi_hat stays within them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from apcc_torch.errors import ConfigError, ValueRangeError
+from apcc_torch.part import Part, hold_rows
+from apcc_torch.settings import OURS, Numbers, Settings, resolved, setting, spread
+from apcc_torch.shapes import check_finite, check_tensor
+
+
+@dataclass(frozen=True, kw_only=True)
+class LengthBoundsSettings(Settings):
+    """Settings of `LengthBounds`."""
+
+    lower: Numbers | None = setting(
+        0.6, "", OURS, "smallest rest lengths over the nominal ones; null: no bound", rows="sections", above=0
+    )
+    upper: Numbers | None = setting(
+        1.4, "", OURS, "largest rest lengths over the nominal ones; null: no bound", rows="sections", above=0
+    )
+    reach: str = setting(
+        "last",
+        "",
+        OURS,
+        "last, all sections together reach the last sensor; each, the first i reach sensor i; free",
+        choices=("free", "last", "each"),
+    )
+
+
+class LengthBounds(Part):
+    """Projects pi_hat onto bounds of every section, then onto a least reach of the sections together.
+
+    A reach says that the sensors are on the arm. Where sum(pi_hat) is less than the farthest sensor's abscissa, remark
+    3 attaches it to the model's tip, a longer delta L explains it as well as a longer rest length, and no measurement
+    tells the two apart. A sensor in every section is what positions alone need to determine q_bar.
+
+    Args:
+        nominal: (..., n_b) m, what the bounds are relative to.
+        abscissae: (..., k) of the sensors, m, for a reach.
+        *settings, **changes: See `LengthBoundsSettings`.
+
+    Raises:
+        ConfigError: "each" has other than one sensor a section.
+        ValueRangeError: Bounds cross.
+
+    Example:
+        >>> bounds = LengthBounds(torch.tensor([0.2, 0.25]), torch.tensor([0.2, 0.45]), lower=0.75, reach="last")
+        >>> bounds(torch.tensor([0.1, 0.25]))
+        tensor([0.1750, 0.2750])
+    """
+
+    settings_type = LengthBoundsSettings
+    least: Tensor | None
+    largest: Tensor | None
+    ends: Tensor | None
+
+    def __init__(self, nominal: Tensor, abscissae: Tensor | None = None, *settings: Any, **changes: Any) -> None:
+        super().__init__()
+        s = resolved(LengthBoundsSettings, settings, changes)
+        check_finite("nominal", check_tensor("nominal", nominal, (None,)))
+        n_b = nominal.shape[-1]
+        least, largest = (
+            None if share is None else spread(name, share, n_b).to(nominal) * nominal
+            for name, share in {"lower": s.lower, "upper": s.upper}.items()
+        )
+        if least is not None and largest is not None and bool((least >= largest).any()):
+            raise ValueRangeError(f"lower must be below upper for every section, got {s.lower} and {s.upper}")
+        hold_rows(self, least=(least, 1), largest=(largest, 1), ends=(_ends(s.reach, abscissae, n_b), 1))
+        # How many sections each wanted end lies behind; one that is zero asks for nothing.
+        self._reaching = [] if self.ends is None else [i + 1 for i in range(n_b) if bool((self.ends[..., i] > 0).any())]
+        self.hold(s)
+
+    def forward(self, pi_hat: Tensor, metric: Tensor | None = None) -> Tensor:
+        """The nearest allowed parameters (..., n_b), m.
+
+        Args:
+            pi_hat: (..., n_b) m.
+            metric: (..., n_b, n_b) Gamma. Half-space by half-space the reach is projected in the norm of Gamma^-1, in
+                which V of Eq. (18) measures: it brings pi_hat nearer to every pi that reaches as far, so the proof's V
+                still falls. None for the identity.
+        """
+        if self.least is not None:
+            pi_hat = torch.maximum(pi_hat, self.least.to(pi_hat))
+        if self.largest is not None:
+            pi_hat = torch.minimum(pi_hat, self.largest.to(pi_hat))
+        if self.ends is not None:
+            ends, n_b = self.ends.to(pi_hat), pi_hat.shape[-1]
+            identity = torch.eye(n_b, dtype=pi_hat.dtype, device=pi_hat.device)
+            gamma = identity if metric is None else metric.to(pi_hat)
+            for i in self._reaching:
+                toward = gamma[..., :i].sum(-1)
+                short = (ends[..., i - 1 : i] - pi_hat[..., :i].sum(-1, keepdim=True)).clamp(min=0.0)
+                pi_hat = pi_hat + short * toward / toward[..., :i].sum(-1, keepdim=True)
+        return pi_hat
+
+
+def _ends(reach: str, abscissae: Tensor | None, n_b: int) -> Tensor | None:
+    """(..., n_b) least ends of the sections, m; zero for none."""
+    if reach == "free":
+        return None
+    if abscissae is None:
+        raise ConfigError(f"reach={reach} needs the sensors' abscissae")
+    if reach == "each":
+        if abscissae.shape[-1] != n_b:
+            raise ConfigError(f"reach=each needs one sensor a section, got {abscissae.shape[-1]} for {n_b}")
+        return abscissae
+    return torch.nn.functional.pad(abscissae[..., -1:], (n_b - 1, 0))
