@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -9,24 +10,34 @@ import torch
 from torch import Tensor
 from torch.func import functional_call
 
-from apcc_torch.control.adaptation import AdaptiveLaw
+from apcc_torch.control.adaptation import AdaptiveLaw, AdaptiveLawSettings
+from apcc_torch.control.control_settings import ControlSettings
 from apcc_torch.control.controller import APCCController
-from apcc_torch.control.inverse_kinematics import InverseKinematics
 from apcc_torch.control.step_io import Command, ControllerState, Measurement, Target
 from apcc_torch.envs.actions import ActionSettings
 from apcc_torch.envs.backbone_points import Positions
 from apcc_torch.envs.places import middles_and_ends, places, sensors_of
 from apcc_torch.errors import ConfigError
-from apcc_torch.estimation.savitzky_golay import SavitzkyGolay
-from apcc_torch.estimation.state_feedback import StateFeedback
 from apcc_torch.model.abscissae import decouple, section_fractions
 from apcc_torch.model.arm import Arm
 from apcc_torch.model.backbone import PCCBackbone
-from apcc_torch.model.kinematic_model import KinematicModel
-from apcc_torch.part import Part
-from apcc_torch.settings import OURS, PAPER, Numbers, resolved, setting, spread
+from apcc_torch.part import Part, part_of
+from apcc_torch.settings import OURS, resolved, setting
 
 DYNAMICS = ("kinematic", "dynamic")
+
+CONTROL: Mapping[str, Any] = {
+    "mode": "position",  # the sensors tell no orientations
+    "velocity": "commanded",
+    "window": 3,  # of a filter that nothing reads then
+    "order": 1,
+    "gamma": {"along": [9.0, 4.25, 3.5]},  # a decade up they are section V-A's
+    "residual": None,
+}
+"""How the controller of an environment differs from the shipped one."""
+
+BY_DYNAMICS: Mapping[str, Mapping[str, Any]] = {"kinematic": {"K": 1.0, "null_gain": 1.0}, "dynamic": {"K": 1.8}}
+"""K as in sections V-A and V-B."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,44 +47,33 @@ class AdaptiveLoopSettings(ActionSettings):
     dynamics: str = setting(
         "kinematic", "", OURS, "kinematic, the arm follows q_d exactly; dynamic, section V-B's plant", choices=DYNAMICS
     )
-    model: type[KinematicModel] = setting(PCCBackbone, "", OURS, "class of the controller's kinematic model")
-    gamma: Numbers = setting(
+    control: Mapping[str, Any] = setting(
+        factory=dict,
         unit="",
         source=OURS,
-        meaning="adaptation gains of a zero action; a decade up they are section V-A's",
-        factory=lambda: {"along": [9.0, 4.25, 3.5]},
-        rows="sections",
-        above=0,
+        meaning="adaptation: what differs on the controller, by name as for `APCCController.for_arm`",
     )
-    task_gain: float | None = setting(
-        None, "1/s", PAPER, "K of Eq. (16); null: 1.0 of section V-A for kinematic arms, 1.8 of V-B else", above=0
-    )
-    null_gain: float | None = setting(
-        None, "m/s", OURS, "weight of the elongation cost Psi; null: 1.0 for kinematic arms, 0.2 else", least=0
-    )
-    lower: float = setting(0.6, "", OURS, "least rest lengths over the nominal ones", above=0)
-    upper: float = setting(1.4, "", OURS, "largest rest lengths over the nominal ones", above=0)
-    normalisation: float = setting(10.0, "s^2", OURS, "nu of the law's 1 + nu ||Y||^2", least=0)
-    dead_zone: float = setting(6e-4, "m", OURS, "position error below which the law rests", least=0)
 
     def check(self) -> None:
-        """Raises ConfigError where the kinematic arm is to have another model: it follows q_d itself."""
+        """Raises ConfigError or ValueRangeError where the controller cannot be."""
         super().check()
-        if self.dynamics == "kinematic" and self.model is not PCCBackbone:
+        control = self.control_settings()
+        if self.dynamics == "kinematic" and part_of(control.model) is not PCCBackbone:
             raise ConfigError("model must be PCCBackbone where the arm is kinematic: it follows q_d itself")
+        if self.action == "adaptation" and not isinstance(control.adaptation, AdaptiveLawSettings):
+            raise ConfigError("adaptation must be an AdaptiveLaw: the action sets its gamma")
 
-    def task_gains(self) -> tuple[float, float]:
-        """K and the weight of Psi."""
-        K, null_gain = {"kinematic": (1.0, 1.0), "dynamic": (1.8, 0.2)}[self.dynamics]
-        return K if self.task_gain is None else self.task_gain, null_gain if self.null_gain is None else self.null_gain
+    def control_settings(self) -> ControlSettings:
+        """The controller's settings."""
+        bounds = {"bend_bound": self.bend_bound, "elongation_bound": self.elongation_bound}
+        return ControlSettings().with_keys({**CONTROL, **BY_DYNAMICS[self.dynamics], **bounds, **self.control})
 
 
 class AdaptiveLoop(Part):
     """The controller in the loop, with gains that each row sets anew at every step.
 
-    Algorithm 2 fits the sensors' positions, Eq. (32); the law is Eq. (15) with the estimator-aware regressor. Where the
-    sensors and racks of a row's arm lie along it is known to the controller, as in the paper; how long its sections are
-    is not.
+    Algorithm 2 fits the sensors' positions, Eq. (32); the law is Eq. (15) as it ships. Where the sensors and racks of a
+    row's arm lie along it is known to the controller, as in the paper; how long its sections are is not.
 
     Args:
         arm: The arm.
@@ -92,40 +92,21 @@ class AdaptiveLoop(Part):
     def __init__(self, arm: Arm, like: Tensor, *settings: Any, **changes: Any) -> None:
         super().__init__()
         s = resolved(AdaptiveLoopSettings, settings, changes)
-        n_b, nominal, base = arm.n_sections, arm.rest_lengths().to(like), arm.base_rotation().to(like)
-        s = s.changed(gamma=spread("gamma", s.gamma, n_b).to(like))
         self.hold(s)
-        self.register_buffer("nominal", nominal)
-        self.sensors = sensors_of(arm).to(like)
-        self.backbone = middles_and_ends(n_b).to(like)
-        routing = arm.routing()
-        self.racks, self.starts = (
-            places(ends, arm.rest_lengths()).to(like) for ends in (routing.anchors, routing.starts)
-        )
-        K, null_gain = s.task_gains()
-        model = s.model(n_b, base_rotation=base)  # type: ignore[call-arg]
-        X = self.sensors.on(nominal)
-        law = AdaptiveLaw(
-            n_b,
-            self.gamma,
-            lower=s.lower * nominal,
-            upper=s.upper * nominal,
-            normalisation=s.normalisation,
-            dead_zone=s.dead_zone,
-            reach=torch.nn.functional.pad(X[-1:], (n_b - 1, 0)),
-        )
+        n_b, lengths = arm.n_sections, arm.rest_lengths()
+        sensors, routing, base = sensors_of(arm), arm.routing(), arm.base_rotation().to(like)
+        seen_arm = arm.changed(sensors=sensors.on(lengths), true_sensors=None)
+        control = s.control_settings().with_keys({"elongation_bound": s.elongation(arm)})
+        self.controller = APCCController.on(seen_arm, control).to(like)
         self.routed = s.dynamics == "dynamic"
-        self.controller = APCCController(
-            model,
-            StateFeedback(model, X, mode="position"),
-            SavitzkyGolay(3, 1),  # the commanded velocity is used
-            InverseKinematics(K, null_gain=null_gain, coordinates=model.coordinates).to(like),
-            law,
-            routing=routing.to(like) if self.routed else None,
-            velocity="commanded",
-            bend_bound=s.bend_bound,
-            elongation_bound=s.elongation(arm),
-        )
+        if not self.routed:
+            self.controller.routing = None
+        self.register_buffer("nominal", lengths.to(like))
+        law = self.controller.laws[0]
+        assert isinstance(law, AdaptiveLaw)  # see `AdaptiveLoopSettings.check`
+        self.register_buffer("gamma", law.gamma.diagonal(dim1=-2, dim2=-1))
+        self.sensors, self.backbone = sensors.to(like), middles_and_ends(n_b).to(like)
+        self.racks, self.starts = (places(ends, lengths).to(like) for ends in (routing.anchors, routing.starts))
         # At rest the arm is straight along its base's axis.
         self.register_buffer("axis", base[:, 2])
         before = section_fractions(self.sensors.share, self.sensors.section, n_b)
@@ -155,7 +136,7 @@ class AdaptiveLoop(Part):
 
         Args:
             state: From `initial` or the last step.
-            action: (N, n_b) in [-1, 1]: Gamma is `gamma` times 10^(decades action).
+            action: (N, n_b) in [-1, 1]: Gamma is the law's times 10^(decades action).
             seen: (N, k, 3) sensor positions, m.
             time: (N,) s.
             target: Where the tip should be.
@@ -164,8 +145,8 @@ class AdaptiveLoop(Part):
         true = self.nominal * lengths
         X = self.sensors.on(true)
         gains = {
-            "law.gamma": torch.diag_embed(self.gamma * 10.0 ** (self.decades * action)),
-            "law.reach": torch.nn.functional.pad(X[..., -1:], (true.shape[-1] - 1, 0)),
+            "laws.0.gamma": torch.diag_embed(self.gamma * 10.0 ** (self.decades * action)),
+            "bounds.ends": torch.nn.functional.pad(X[..., -1:], (true.shape[-1] - 1, 0)),
             "feedback.abscissae": X,
         }
         if self.routed:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -9,27 +10,38 @@ import torch
 from torch import Tensor, nn
 from torch.func import functional_call
 
-from apcc_torch.control.pid import TendonPID, TendonPIDSettings, ramp
+from apcc_torch.control.pid import ramp
 from apcc_torch.envs.backbone_points import BackbonePoints, Positions
-from apcc_torch.envs.places import middles_and_ends, sensors_of
+from apcc_torch.envs.places import middles_and_ends, places, sensors_of
 from apcc_torch.envs.randomisation import RowParameters
 from apcc_torch.linalg import solve_spd
-from apcc_torch.model.arm import Arm
+from apcc_torch.model.arm import Arm, with_changes
 from apcc_torch.model.integrators import ArmState
 from apcc_torch.part import Part
-from apcc_torch.settings import OURS, PAPER, resolved, setting
-from apcc_torch.simulation.plant import Plant
+from apcc_torch.reading import read
+from apcc_torch.settings import OURS, Settings, resolved, setting
+from apcc_torch.simulation.plant import Plant, PlantSettings
+
+PLANT = {"substeps": 1}
+"""How the plant of an environment differs from a simulation's: one step of 10 ms stays within 0.1 mm of sixteen."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class DynamicArmSettings(TendonPIDSettings):
+class DynamicArmSettings(Settings):
     """Settings of `DynamicArm`."""
 
-    tendon_damping: float = setting(200.0, "N s/m", OURS, "friction of each tendon in its guides", least=0)
-    refine: int = setting(2, "", PAPER, "sections of the true arm for each of the model", least=1)
-    substeps: int = setting(
-        1, "", OURS, "plant steps in a control period; one of 10 ms stays within 0.1 mm of sixteen", least=1
+    plant: Mapping[str, Any] = setting(
+        factory=dict, unit="", source=OURS, meaning="dynamic arms: what differs on the plant, keys of `PlantSettings`"
     )
+
+    def check(self) -> None:
+        """Raises ConfigError or ValueRangeError where the plant has no such key, or a value is out of range."""
+        super().check()
+        self.plant_settings()
+
+    def plant_settings(self) -> PlantSettings:
+        """The plant's settings."""
+        return read({**PLANT, **self.plant}, PlantSettings, "plant")
 
 
 class DynamicState(NamedTuple):
@@ -81,20 +93,23 @@ class DynamicArm(Part):
     settings_type = DynamicArmSettings
 
     nominal: Tensor
-    substeps: int
-    refine: int
 
     def __init__(self, arm: Arm, period: float, varied: bool, like: Tensor, *settings: Any, **changes: Any) -> None:
         super().__init__()
         s = resolved(DynamicArmSettings, settings, changes)
         self.hold(s)
-        self.arm, self.varied = arm, varied
-        dynamics, routing = arm.dynamics(self.refine).to(like), arm.routing().to(like)
-        plant = Plant(dynamics, routing, TendonPID(s), like.new_zeros(()), s.tendon_damping)
-        self.moves = _Moves(plant, period, self.substeps)
-        self.register_buffer("nominal", dynamics.lengths)
-        backbone = middles_and_ends(arm.n_sections)
-        self.places = BackbonePoints(backbone, sensors_of(arm, true=True), self.refine, dynamics.base_rotation)
+        own = s.plant_settings()
+        self.arm, self.varied, self.refine = with_changes(arm, own.arm), varied, own.refine
+        plant = Plant.on(arm, torch.zeros((), dtype=torch.float64), own).to(like)
+        self.moves = _Moves(plant, period, own.substeps)
+        self.register_buffer("nominal", plant.dynamics.lengths)
+        self.places = BackbonePoints(
+            middles_and_ends(arm.n_sections), sensors_of(self.arm, True), self.refine, plant.dynamics.base_rotation
+        )
+        # Only what a tendon does on its way asks where the racks of a row's own arm are.
+        lengths, routing = self.arm.rest_lengths(), self.arm.routing()
+        ends = {"anchors": routing.anchors, "starts": routing.starts} if plant.transmission is not None else {}
+        self.tendon_ends = {name: places(X, lengths).to(like) for name, X in ends.items()}
 
     def lengths(self, rows: RowParameters) -> Tensor:
         """(N, n_t) true rest lengths of the plant's sections, m."""
@@ -151,4 +166,6 @@ class DynamicArm(Part):
                 "plant.dynamics.damping_diagonal": dynamics.damping_diagonal * factor,
                 "plant.dynamics.batch_marker": torch.zeros_like(rows.payload),
             }
+            model = lengths.unflatten(-1, (-1, self.refine)).sum(-1)
+            own |= {f"plant.routing.{name}": ends.on(model).unsqueeze(-2) for name, ends in self.tendon_ends.items()}
         return own

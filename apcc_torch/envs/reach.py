@@ -31,6 +31,10 @@ class ReachEnv(ArmEnv):
     end of each of the model's three sections. A configuration is (dx, dy, dL) a section: bends in rad, elongation in m.
     The world's z axis points up, so the arm lies at z < 0. A step is 10 ms (`control_rate`).
 
+    That is the paper's arm 1. For another `arm` the sizes below follow from its numbers of sections, tendons and
+    sensors; where its last sensor is not at the tip, one more is. Bounds of observed positions, velocities and tendons
+    are in proportion to its length, and elongations stay within shares of its shortest section.
+
     With `dynamics="kinematic"` the arm follows its desired configuration q_d exactly, and the payload plays no part;
     with `"dynamic"` it is the plant of section V-B [Dalenberg]: six sections with mass, damping and tendon friction,
     tendon lengths held at B^T q_d by a PID loop, and the payload at the tip.

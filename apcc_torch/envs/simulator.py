@@ -48,9 +48,6 @@ class SimulatorSettings(AdaptiveLoopSettings, DynamicArmSettings, Ranges):
     tendon_bound: float = setting(
         5.0 / 6.0, "", OURS, "bound of observed changes of tendon lengths over the arm's length", above=0
     )
-    farthest: float = setting(
-        1e3, "", OURS, "largest coordinate, rad or m, or its rate before a row counts as diverged", above=0
-    )
 
     def check(self) -> None:
         """Raises ConfigError where a setting is a tensor: rows differ by what is drawn for them."""
@@ -141,7 +138,6 @@ class Simulator(Part):
     max_episode_steps: int | None
     effort: float
     model_scale: float
-    farthest: float
 
     def __init__(self, task: Reach, arm: Arm, like: Tensor, *settings: Any, **changes: Any) -> None:
         super().__init__()
@@ -160,7 +156,7 @@ class Simulator(Part):
         self.loop = AdaptiveLoop(arm, like, s) if adapts else None
         self.drive = None if adapts else Drive(arm, self.period, like, s)
         self.sensing = Sensing(s.noise[1] > 0, int(s.delay[1]))
-        self.action_size = s.size(arm)
+        self.action_size, self.bound = s.size(arm), s.plant_settings().bound
         self.register_buffer("nominal", arm.rest_lengths().to(like))
         self.register_buffer("B", arm.routing().to(like).matrix(self.nominal))
         self.register_buffer("bounds", torch.tensor(self._bounds(s), dtype=torch.float32, device=like.device))
@@ -209,7 +205,7 @@ class Simulator(Part):
         # A row that goes wrong stays where it was: its observation is good, and its neighbours never notice.
         learnt = () if controller is None else (controller.q_bar, controller.pi_hat)
         largest = torch.cat((action, *self.arm.coordinates(arm), *learnt), dim=-1).abs().amax(-1)  # NaN stays NaN
-        good = largest <= self.farthest
+        good = largest <= self.bound
         arm, q_d, y, controller = select(
             good, _Moved(arm, q_d, y, controller), _Moved(state.arm, state.q_d, state.y, state.controller)
         )

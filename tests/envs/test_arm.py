@@ -41,7 +41,7 @@ def test_one_plant_step_a_period_is_enough() -> None:
     arm, ends = Arm.load("arm_1"), []
     B = arm.routing().matrix(arm.rest_lengths())
     for substeps in (1, 16):
-        body = DynamicArm(arm, 0.01, False, LIKE, substeps=substeps)
+        body = DynamicArm(arm, 0.01, False, LIKE, plant={"substeps": substeps})
         rows = row_parameters(3, payload=torch.tensor([0.0, 0.25, 0.5], dtype=torch.float64))
         state = body.initial(rows)
         y = torch.zeros(3, 9, dtype=torch.float64)
@@ -73,7 +73,7 @@ def test_other_arms(arm: Arm, name: str, dynamics: str, action: str) -> None:
 
 @pytest.mark.parametrize("arm", [TWO, Arm(lengths=[0.12] * 5, sensors=[0.1, 0.2, 0.35, 0.5])], ids=["two", "five"])
 def test_the_controller_brings_other_arms_to_their_targets(arm: Arm) -> None:
-    envs = make("apcc/Reach-v0", 3, arm=arm, action="adaptation", null_gain=0.2, max_episode_steps=None)
+    envs = make("apcc/Reach-v0", 3, arm=arm, action="adaptation", max_episode_steps=None, control={"null_gain": 0.2})
     envs.reset(seed=0)
     for _ in range(400):
         _, _, _, _, info = envs.step(torch.zeros(3, arm.n_sections))
@@ -83,7 +83,7 @@ def test_the_controller_brings_other_arms_to_their_targets(arm: Arm) -> None:
 @pytest.mark.parametrize("dynamics", ["kinematic", "dynamic"])
 def test_sensors_stay_at_their_share_of_longer_sections(dynamics: str) -> None:
     arm = Arm(lengths=[0.2, 0.3], sensors=[0.15, 0.2, 0.35])
-    envs = make("apcc/Reach-v0", 3, arm=arm, dynamics=dynamics, refine=3, lengths=(0.8, 1.2))
+    envs = make("apcc/Reach-v0", 3, arm=arm, dynamics=dynamics, plant={"refine": 3}, lengths=(0.8, 1.2))
     envs.reset(seed=0)
     for step in range(10):
         observation, *_ = envs.step(actions(envs, step))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import torch
 
-from apcc_torch.control.pid import TendonPID, TendonReference
+from apcc_torch.control.pid import TendonReference
 from apcc_torch.envs.dynamic import DynamicArm
 from apcc_torch.envs.randomisation import RowParameters
 from apcc_torch.model.arm import Arm
@@ -42,12 +42,12 @@ def alone(rows: RowParameters, i: int) -> Plant:
     )
     routing = ARM.routing()
     routing.anchors = lengths.cumsum(0)[1::2].repeat_interleave(3)
-    return Plant(dynamics, routing, TendonPID(), rows.payload[i], 200.0)
+    return Plant(dynamics, routing, None, rows.payload[i])
 
 
 def test_rows_are_the_plants_they_would_be_alone() -> None:
     rows = varied(3)
-    arm = DynamicArm(ARM, 0.01, True, LIKE, substeps=2)
+    arm = DynamicArm(ARM, 0.01, True, LIKE, plant={"substeps": 2})
     state = arm.initial(rows)
     y = uniform((3, 9), -0.02, 0.02, torch.float64, generator(2))
     later = arm.step(state, torch.zeros_like(y), y, y, rows)
