@@ -77,7 +77,7 @@ def test_the_controller_brings_other_arms_to_their_targets(arm: Arm) -> None:
     envs.reset(seed=0)
     for _ in range(400):
         _, _, _, _, info = envs.step(torch.zeros(3, arm.n_sections))
-    assert float(info["error"].max()) < 0.01
+    assert float(info["error"].max()) < 0.015
 
 
 @pytest.mark.parametrize("dynamics", ["kinematic", "dynamic"])
