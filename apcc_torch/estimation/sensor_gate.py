@@ -14,9 +14,11 @@ from enum import IntEnum
 from typing import NamedTuple
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from apcc_torch.errors import ShapeError, ValueRangeError
+from apcc_torch.modes import holds
+from apcc_torch.part import Part
 from apcc_torch.shapes import batch_shape, check_tensor
 
 
@@ -71,7 +73,7 @@ def _per_sensor(name: str, value: float | Sequence[float], k: int) -> Tensor:
     limits = torch.as_tensor(value, dtype=torch.float64)
     if limits.shape not in ((), (k,)):
         raise ShapeError(f"{name} must be a number or {k} of them, got shape {tuple(limits.shape)}")
-    if not bool((limits > 0).all()):  # NaN fails too
+    if not holds(limits > 0):  # NaN fails too
         raise ValueRangeError(f"{name} must be positive, got {limits.tolist()}")
     return limits.expand(k).clone()
 
@@ -86,7 +88,7 @@ def _cos_between(a: Tensor, b: Tensor) -> Tensor:
     return 0.5 * ((a * b).sum((-2, -1)) - 1.0)
 
 
-class SensorGate(nn.Module):
+class SensorGate(Part):
     """Judges the poses of k sensors along an arm, numbered from the base to the tip, frame by frame.
 
     Poses are those of `Calibration`: in the base frame, z along the resting arm, the identity rotation at rest. Each
@@ -242,8 +244,8 @@ class SensorGate(nn.Module):
 def _first(checks: Sequence[tuple[Reason, Tensor]]) -> Tensor:
     """The code of the first check that holds, Reason.OK where none does."""
     code = torch.zeros_like(checks[-1][1], dtype=torch.int64)
-    for reason, holds in reversed(checks):
-        code = code.masked_fill(holds, int(reason))
+    for reason, applies in reversed(checks):
+        code = code.masked_fill(applies, int(reason))
     return code
 
 

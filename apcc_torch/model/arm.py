@@ -20,6 +20,7 @@ from apcc_torch.model.dynamics import SoftArmDynamics
 from apcc_torch.model.kinematic_model import KinematicModel
 from apcc_torch.model.stiffness import scaled_stiffness
 from apcc_torch.model.tendons import TendonRouting, rack_routing
+from apcc_torch.modes import holds
 from apcc_torch.reading import plain, read
 from apcc_torch.settings import OURS, PAPER, Setting, Settings, aligned, did_you_mean, setting
 
@@ -95,9 +96,9 @@ class Arm(Settings):
             if wanted is None:
                 continue
             at = vector(wanted)
-            if not at.shape[-1] or bool((at.diff(dim=-1) <= 0).any()):
+            if not at.shape[-1] or not holds(at.diff(dim=-1) > 0):
                 raise ValueRangeError(f"{name} must be increasing, at least one, got {at.tolist()}")
-            if bool((at > end).any()):
+            if not holds(at <= end):
                 raise ValueRangeError(f"{name} must lie on the arm, {float(end.max()):.4g} m long, got {at.tolist()}")
         if self.true_sensors is not None and vector(self.true_sensors).shape != self.sensor_places().shape:
             raise ConfigError("true_sensors must have as many entries as sensors")
