@@ -66,15 +66,16 @@ class _Moves(nn.Module):
         return DynamicState(arm, z)
 
 
-class _Weight(nn.Module):
-    """The generalized force (N, n) of gravity on the plant, for `functional_call` likewise."""
+class _AtRest(nn.Module):
+    """The generalized force (N, n) of gravity on the plant, and its stiffness (N, n), for `functional_call` likewise."""
 
     def __init__(self, plant: Plant) -> None:
         super().__init__()
         self.plant = plant
 
-    def forward(self, q: Tensor) -> Tensor:
-        return self.plant.dynamics.gravity(q, self.plant.payload)
+    def forward(self, q: Tensor) -> tuple[Tensor, Tensor]:
+        dynamics = self.plant.dynamics
+        return dynamics.gravity(q, self.plant.payload), dynamics.stiffness_diagonal
 
 
 class DynamicArm(Part):
@@ -108,7 +109,7 @@ class DynamicArm(Part):
         )
         # Only what a tendon does on its way asks where the racks of a row's own arm are.
         lengths, routing = self.arm.rest_lengths(), self.arm.routing()
-        ends = {"anchors": routing.anchors, "starts": routing.starts} if plant.transmission is not None else {}
+        ends = {"anchors": routing.anchors, "own_starts": routing.starts} if plant.transmission is not None else {}
         self.tendon_ends = {name: places(X, lengths).to(like) for name, X in ends.items()}
 
     def lengths(self, rows: RowParameters) -> Tensor:
@@ -123,8 +124,7 @@ class DynamicArm(Part):
         """
         plant, own = self.moves.plant, self._own(rows)
         zero = torch.zeros_like(self.lengths(rows)).repeat_interleave(3, dim=-1)
-        gravity = functional_call(_Weight(plant), own, (zero,))
-        stiffness = own.get("plant.dynamics.stiffness_diagonal", plant.dynamics.stiffness_diagonal)
+        gravity, stiffness = functional_call(_AtRest(plant), own, (zero,))
         held = torch.diag_embed(stiffness) + plant.actuation_stiffness
         q = solve_spd(held.expand(*zero.shape, -1), -gravity.unsqueeze(-1)).squeeze(-1)
         return DynamicState(ArmState(q, zero), torch.zeros_like(plant.lengths(zero)))
@@ -158,12 +158,13 @@ class DynamicArm(Part):
             lengths, dynamics = self.lengths(rows), self.moves.plant.dynamics
             stiffness = rows.stiffness.unsqueeze(-1)
             factor = stiffness / rows.lengths if self.arm.stiffness_rule == "series" else stiffness * rows.lengths
-            factor = factor.repeat_interleave(3 * self.refine, dim=-1)
+            factor = factor.repeat_interleave(self.refine, dim=-1)
             own |= {
                 "plant.dynamics.lengths": lengths,
                 "plant.dynamics.masses": self.arm.mass * lengths / lengths.sum(-1, keepdim=True),
-                "plant.dynamics.stiffness_diagonal": dynamics.stiffness_diagonal * factor,
-                "plant.dynamics.damping_diagonal": dynamics.damping_diagonal * factor,
+                "plant.dynamics.axial_stiffness": dynamics.axial_stiffness * factor,
+                "plant.dynamics.bending_stiffness": dynamics.bending_stiffness * factor,
+                "plant.dynamics.own_damping": dynamics.damping_diagonal * factor.repeat_interleave(3, dim=-1),
                 "plant.dynamics.batch_marker": torch.zeros_like(rows.payload),
             }
             model = lengths.unflatten(-1, (-1, self.refine)).sum(-1)
