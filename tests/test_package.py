@@ -24,6 +24,7 @@ PROJECT: dict[str, Any] = tomllib.loads((ROOT / "pyproject.toml").read_text(enco
 PUBLIC_NAMES = (
     "APCCController",
     "AdaptiveLaw",
+    "Arm",
     "InverseKinematics",
     "PCCBackbone",
     "SavitzkyGolay",

@@ -16,7 +16,15 @@ class ReachEnvSettings(SimulatorSettings, ReachSettings):
 
 
 class ReachVectorEnv(ArmVectorEnv):
-    """Many arms; `ReachEnv` is the specification, `ArmVectorEnv` lists the arguments."""
+    """Many arms; `ReachEnv` is the specification, `ArmVectorEnv` lists the arguments.
+
+    Example:
+        >>> envs = gymnasium.make_vec("apcc/Reach-v0", num_envs=64, arm=Arm(lengths=[0.2, 0.25]))
+        >>> observation, info = envs.reset(seed=0)
+        >>> observation, reward, terminated, truncated, info = envs.step(torch.zeros(64, 6))
+        >>> observation.shape, reward.shape
+        (torch.Size([64, 30]), torch.Size([64]))
+    """
 
     task = Reach
     settings_type = ReachEnvSettings
@@ -96,6 +104,13 @@ class ReachEnv(ArmEnv):
     ## Version history
 
     * v0: first version.
+
+    Example:
+        >>> env = gymnasium.make("apcc/Reach-v0", dynamics="dynamic", payload=(0.2, 0.2))
+        >>> observation, info = env.reset(seed=0)
+        >>> observation, reward, terminated, truncated, info = env.step(env.action_space.sample())
+        >>> observation.shape, info["is_success"]
+        ((42,), False)
     """
 
     vector = ReachVectorEnv

@@ -58,7 +58,12 @@ class SimulatorSettings(AdaptiveLoopSettings, DynamicArmSettings, Ranges):
 
 
 class TruncatedReason(IntEnum):
-    """Why a row was truncated."""
+    """Why a row was truncated.
+
+    Example:
+        >>> TruncatedReason(1)
+        <TruncatedReason.TIME_LIMIT: 1>
+    """
 
     NONE = 0
     TIME_LIMIT = 1

@@ -16,7 +16,15 @@ class TrackEnvSettings(SimulatorSettings, TrackSettings):
 
 
 class TrackVectorEnv(ArmVectorEnv):
-    """Many arms; `TrackEnv` is the specification, `ArmVectorEnv` lists the arguments."""
+    """Many arms; `TrackEnv` is the specification, `ArmVectorEnv` lists the arguments.
+
+    Example:
+        >>> envs = gymnasium.make_vec("apcc/Track-v0", num_envs=64, arm=Arm(lengths=[0.2, 0.25]))
+        >>> observation, info = envs.reset(seed=0)
+        >>> observation, reward, terminated, truncated, info = envs.step(torch.zeros(64, 6))
+        >>> observation.shape, reward.shape
+        (torch.Size([64, 33]), torch.Size([64]))
+    """
 
     task = Track
     settings_type = TrackEnvSettings
@@ -59,6 +67,13 @@ class TrackEnv(ArmEnv):
     ## Version history
 
     * v0: first version.
+
+    Example:
+        >>> env = gymnasium.make("apcc/Track-v0", dynamics="dynamic", payload=(0.2, 0.2))
+        >>> observation, info = env.reset(seed=0)
+        >>> observation, reward, terminated, truncated, info = env.step(env.action_space.sample())
+        >>> observation.shape, info["is_success"]
+        ((45,), False)
     """
 
     vector = TrackVectorEnv

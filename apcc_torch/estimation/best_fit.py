@@ -56,6 +56,12 @@ def oracle_fit(
     Raises:
         ShapeError, DtypeError: The arguments do not fit each other.
         ValueRangeError: iterations < 1, or an unknown spacing.
+
+    Example:
+        >>> six, three, L0 = PCCBackbone(6), PCCBackbone(3), torch.full((6,), 0.1).double()
+        >>> points = six.points(0.2 * torch.tensor([1.0, 0.0, 0.0, -1.0, 0.0, 0.0] * 3).double(), L0, 61)
+        >>> oracle_fit(three, points, torch.zeros(9).double(), 2.0 * L0[:3]).error
+        tensor(0.0014, dtype=torch.float64)
     """
     model.check(q, pi)
     check_tensor("points", points, (None, 3))

@@ -34,6 +34,10 @@ class ShapeNoise(NamedTuple):
 
     position: Of each coordinate of a sensor, m. angle: Of each component of its rotation vector, rad.
     length: Of each tendon's length change, m. tension: Of each tendon's force, N.
+
+    Example:
+        >>> ShapeNoise(position=2e-3).tension
+        0.5
     """
 
     position: Setting = 1e-3
@@ -73,6 +77,13 @@ class HeldShape(Part):
     Raises:
         ConfigError: The unknown is not known.
         ValueRangeError: A number is out of range.
+
+    Example:
+        >>> arm = Arm(lengths=[0.2, 0.25], mass=0.4)
+        >>> finer, y = arm.dynamics(2), torch.zeros(6).double()
+        >>> held = equilibrium(finer, routing=arm.routing(), tendon_lengths=y, payload=torch.tensor(0.1).double())
+        >>> HeldShape(finer, arm.routing(), arm.sensor_places())(y, u=held.u).load.value
+        tensor([0.1000], dtype=torch.float64)
     """
 
     abscissae: Tensor

@@ -32,6 +32,13 @@ class Calibration:
         rest_frames: Number of frames the calibration was computed from.
         rest_scatter_m: Largest distance of a rest frame's position from the rest position, m.
         rest_scatter_rad: Largest angle of a rest frame's rotation from the rest rotation, rad.
+
+    Example:
+        >>> one, place = torch.eye(3).double(), torch.tensor([[0.0, 0.0, 1.0]]).double()
+        >>> X = torch.tensor([0.4]).double()
+        >>> calibration = Calibration(("tip",), place[0], one, one.unsqueeze(0), 0.0 * place, abscissae=X)
+        >>> calibration.poses(1.4 * place, one.unsqueeze(0))[0, :3, 3]
+        tensor([0.0000, 0.0000, 0.4000], dtype=torch.float64)
     """
 
     names: tuple[str, ...]

@@ -23,7 +23,12 @@ from apcc_torch.shapes import batch_shape, check_tensor
 
 
 class Reason(IntEnum):
-    """Why a position or a rotation was not accepted; the first that holds, in this order."""
+    """Why a position or a rotation was not accepted; the first that holds, in this order.
+
+    Example:
+        >>> Reason(6)
+        <Reason.JUMP: 6>
+    """
 
     OK = 0
     UNTRACKED = 1  # the source says so
@@ -261,6 +266,14 @@ def gate_recording(gate: SensorGate, T: Tensor, tracked: Tensor, times: Tensor) 
     Returns:
         The poses with the last accepted ones held where one was not accepted, shape (N, k, 4, 4), and the verdicts,
         each of shape (N, k).
+
+    Example:
+        >>> gate, T = SensorGate(1, max_reach=0.5, max_speed=2.0), torch.eye(4).double().repeat(3, 1, 1, 1)
+        >>> T[1, 0, 0, 3] = 0.4
+        >>> times, tracked = torch.tensor([0.0, 0.01, 0.02]).double(), torch.ones(3, 1).bool()
+        >>> held, verdict = gate_recording(gate, T, tracked, times)
+        >>> held[:, 0, 0, 3], [Reason(int(each)).name for each in verdict.position_reason]
+        (tensor([0., 0., 0.], dtype=torch.float64), ['OK', 'JUMP', 'OK'])
     """
     state = gate.initial_state(T[0], times[0])
     held, verdicts = [], []

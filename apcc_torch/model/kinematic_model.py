@@ -63,6 +63,11 @@ class KinematicModel(Part, ABC):
     Raises:
         ValueRangeError: n_sections < 1, or base_rotation is not a rotation.
         ShapeError: base_rotation is not (3, 3).
+
+    Example:
+        >>> models = PCCBackbone(2), AffineBackbone(2), ConstantStrainBackbone(2)
+        >>> [(isinstance(model, KinematicModel), model.n) for model in models]
+        [(True, 6), (True, 10), (True, 12)]
     """
 
     base_rotation: Tensor

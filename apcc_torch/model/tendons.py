@@ -34,6 +34,11 @@ class TendonRouting(Part):
         ConfigError: `layout` is unknown.
         ShapeError: The four tensors differ in length.
         ValueRangeError: An offset or anchor is not positive.
+
+    Example:
+        >>> routing = TendonRouting(torch.tensor([0.0, pi]), torch.tensor([0.02, 0.02]), torch.tensor([0.2, 0.45]))
+        >>> routing.lengths(torch.tensor([0.5, 0.0, 0.0, 0.0, 0.0, 0.01]), torch.tensor([0.2, 0.25]))
+        tensor([-0.0100,  0.0200])
     """
 
     angles: Tensor
@@ -154,6 +159,11 @@ def rack_routing(
         per_rack: Tendons per rack, 360/per_rack degrees apart.
         twist: Rotation of each rack relative to the preceding one, rad.
         layout: "coupled" or "independent"; see `TendonRouting`.
+
+    Example:
+        >>> routing = rack_routing(torch.tensor([0.2, 0.45]), offset=0.02, per_rack=3)
+        >>> routing.n_tendons, routing.anchors
+        (6, tensor([0.2000, 0.2000, 0.2000, 0.4500, 0.4500, 0.4500]))
     """
     refuse_parameter("racks", racks, "make a TendonRouting whose anchors are a Parameter")
     refuse_parameter("offset", offset, "make a TendonRouting whose offsets are a Parameter")

@@ -57,6 +57,14 @@ def recorded_arm(
 
     Raises:
         ApccError: As `calibrate` and `StateFeedback`.
+
+    Example:
+        >>> place = torch.tensor([[0.0, 0.0, -0.2], [0.0, 0.0, -0.45]]).double().expand(50, 2, 3)
+        >>> turn = torch.tensor([1.0, 0.0, 0.0, 0.0]).double().expand(50, 2, 4)
+        >>> still = Recording(("middle", "tip"), torch.arange(50).double() / 100, place, turn, torch.ones(50, 2).bool())
+        >>> arm = recorded_arm(still, direction=None, rest=50, base_position=[0.0, 0.0, 0.0])
+        >>> arm.calibration.rest_lengths
+        tensor([0.2000, 0.2500], dtype=torch.float64)
     """
     calibration = calibrate(recording, rest=rest, direction=direction, base_position=base_position)
     abscissae = calibration.abscissae

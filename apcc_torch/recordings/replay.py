@@ -113,6 +113,15 @@ def replay(
         ShapeError, DtypeError: Arguments do not fit each other.
         ConfigError: `parallel` is asked of a controller, or it adapts and the recording has no target.
         DataError: The recording has no frames, none of use, or bodies that are not the calibration's.
+
+    Example:
+        >>> place = torch.tensor([[0.0, 0.0, -0.2], [0.0, 0.0, -0.45]]).double().expand(50, 2, 3)
+        >>> turn = torch.tensor([1.0, 0.0, 0.0, 0.0]).double().expand(50, 2, 4)
+        >>> still = Recording(("middle", "tip"), torch.arange(50).double() / 100, place, turn, torch.ones(50, 2).bool())
+        >>> arm = recorded_arm(still, direction=None, rest=50, base_position=[0.0, 0.0, 0.0])
+        >>> log = replay(still, arm.calibration, arm.feedback, arm.gate)
+        >>> log.q_bar.shape, bool((log.status == FeedbackStatus.CONVERGED).all())
+        (torch.Size([50, 6]), True)
     """
     controller: APCCController | None = None
     if isinstance(estimator, StateFeedback):
@@ -266,6 +275,15 @@ def held_out_error(
     Raises:
         ValueRangeError: There is a single sensor.
         ApccError: As `replay`.
+
+    Example:
+        >>> place = torch.tensor([[0.0, 0.0, -0.2], [0.0, 0.0, -0.45]]).double().expand(50, 2, 3)
+        >>> turn = torch.tensor([1.0, 0.0, 0.0, 0.0]).double().expand(50, 2, 4)
+        >>> still = Recording(("middle", "tip"), torch.arange(50).double() / 100, place, turn, torch.ones(50, 2).bool())
+        >>> arm = recorded_arm(still, direction=None, rest=50, base_position=[0.0, 0.0, 0.0])
+        >>> errors = held_out_error(still, arm.calibration, arm.feedback, arm.gate)
+        >>> bool(errors.linear.nanmean() < 1e-4)
+        True
     """
     X = calibration.abscissae
     k = len(X)

@@ -101,6 +101,13 @@ def calibrate(
     Raises:
         ValueRangeError: An argument is out of its range, or needed and not given.
         DataError: A sensor was never tracked at rest, or the sensors are not in order along the arm.
+
+    Example:
+        >>> place = torch.tensor([[0.0, 0.0, -0.2], [0.0, 0.0, -0.45]]).double().expand(50, 2, 3)
+        >>> turn = torch.tensor([1.0, 0.0, 0.0, 0.0]).double().expand(50, 2, 4)
+        >>> still = Recording(("middle", "tip"), torch.arange(50).double() / 100, place, turn, torch.ones(50, 2).bool())
+        >>> calibrate(still, rest=50, base_position=[0.0, 0.0, 0.0]).abscissae
+        tensor([0.2000, 0.4500], dtype=torch.float64)
     """
     count = rest_frame_count(recording) if rest is None else rest
     if not 1 <= count <= len(recording):
