@@ -108,7 +108,9 @@ def read_series(path: str | Path, *given: Any, **changes: Any) -> Series:
         return series_of(load_recording(path, layout=layout, rate=settings.rate))
     except DataError as error:
         hint = (
-            "" if settings.layout != "auto" else "; of other files recording.inputs and recording.bodies name columns"
+            ""
+            if settings.layout != "auto"
+            else "; recording.inputs and recording.bodies name the columns of other files"
         )
         raise DataError(f"{error}{hint}") from error
 

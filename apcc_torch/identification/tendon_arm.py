@@ -2,8 +2,8 @@
 
 The equilibrium is K (q - q_rest) + B T(q) = G(q), with the tension of a tendon T = k max(stretch, 0) and its stretch
 the sum of what the actuator pulled, the stretch at the start (pre-tension) and y = B^T q. Capstan friction takes its
-share of T on the way from the motor, by the direction in which the tendon last moved. A time constant lets the arm
-follow its equilibrium with a lag, which is what damping D = time constant times K does to a slow arm.
+share of T on the way from the motor, by the direction in which the tendon last moved. Inputs act with a lag, the
+damping ratio, as damping D = damping_ratio K makes a slow arm follow its equilibrium.
 """
 
 from __future__ import annotations

@@ -74,11 +74,11 @@ def test_a_recording_of_ones_own_from_the_command_line(tmp_path: Path) -> None:
     assert result.lengths == (0.1, 0.1)
 
     # What was identified is as good a start as any arm's file: it is already at rest where the recording is.
-    again = _identify(tmp_path, "arm=out/arm.yaml", f"data={path}", *READ, *FIT, "fit.steps=1", "fit.rounds=1",
-                      "online.samples=5", "figures=false", "hydra.run.dir=again")  # fmt: skip
+    short = ("fit.steps=1", "fit.rounds=1", "fit.samples=24", "online.samples=5", "figures=false")
+    again = _identify(tmp_path, "arm=out/arm.yaml", f"data={path}", *READ, *FIT, *short, "hydra.run.dir=again")
     assert again.returncode == 0, again.stdout + again.stderr
     there = json.loads((tmp_path / "again" / "metrics.json").read_text())
-    assert there["arm_identified_tip_rmse_mm"] == pytest.approx(metrics["arm_identified_tip_rmse_mm"], rel=0.02)
+    assert there["arm_identified_tip_rmse_mm"] == pytest.approx(metrics["arm_identified_tip_rmse_mm"], rel=0.1)
 
 
 def test_wrong_files_end_in_one_sentence(tmp_path: Path) -> None:
