@@ -36,10 +36,7 @@ def class_named(key: str, name: str, base: type, trust: Trust = Trust.ANY) -> An
     Raises:
         ConfigError: There is no such class, it is not of `base`, or is not trusted.
     """
-    if trust is Trust.OWN and not name.startswith(PACKAGE) and name not in ALLOWED:
-        raise ConfigError(
-            f"{key} names {name}, which is not of this package: a file loads it only where allow_class={name} says so"
-        )
+    check_trusted(key, name, trust)
     module, _, attribute = name.rpartition(".")
     here = str(Path.cwd())
     if here not in sys.path and "" not in sys.path:
@@ -52,6 +49,15 @@ def class_named(key: str, name: str, base: type, trust: Trust = Trust.ANY) -> An
     if not (isinstance(named, type) and issubclass(named, base)):
         raise ConfigError(f"{key} must be a {base.__name__}, got {name!r}")
     return named
+
+
+def check_trusted(key: str, name: str, trust: Trust) -> None:
+    """Raises ConfigError where a file from elsewhere names a class of elsewhere, and nobody has allowed it."""
+    if trust is Trust.OWN and not name.startswith(PACKAGE) and name not in ALLOWED:
+        raise ConfigError(
+            f"{key} names {name}, which is not of this package: a file may name it only where you allow it, with "
+            f"--allow-class {name}"
+        )
 
 
 def name_of(part: type) -> str:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import typing
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import MISSING, Field, fields, is_dataclass
 from types import UnionType
 from typing import Any, TypeVar, Union, cast
@@ -19,17 +20,21 @@ MUST = "???"
 """What stands for a value that has to be given, as in OmegaConf."""
 
 
-def read(values: Mapping[str, Any], root: type[Root], key: str = "", trust: Trust = Trust.ANY) -> Root:
+def read(
+    values: Mapping[str, Any], root: type[Root], key: str = "", trust: Trust = Trust.ANY, start: Root | None = None
+) -> Root:
     """Settings of the class `root` from plain values; what is left out has its default.
 
     A field whose `About.base` is a class holds a part: its value is a mapping with `kind`, the part's class, and that
-    class's own settings. None stands for no part where the field allows it.
+    class's own settings; without a `kind` the part is the field's default. None stands for no part where the field
+    allows it.
 
     Args:
         values: Nested mappings, as a file or a command line gives them.
         root: A `Settings` class.
         key: Where in the whole the values stand, for messages; "" for the root.
         trust: Which classes a `kind` may name.
+        start: Where what is left out comes from; None: the defaults of the class.
 
     Raises:
         ConfigError: A key is unknown or missing, or a value has the wrong type; the sentence names the key.
@@ -43,32 +48,37 @@ def read(values: Mapping[str, Any], root: type[Root], key: str = "", trust: Trus
             raise ConfigError(f"{_join(key, str(name))} is no setting{did_you_mean(str(name), known)}")
     taken = {}
     for each in fields(root):
-        at = _join(key, each.name)
+        at, default = _join(key, each.name), default_of(each) if start is None else getattr(start, each.name)
         if each.name in values and values[each.name] != MUST:
-            taken[each.name] = _value(values[each.name], each, root, at, trust)
-        elif default_of(each) is MISSING:
+            taken[each.name] = _value(values[each.name], each, root, at, trust, default)
+        elif default is MISSING:
             raise ConfigError(f"{at} must be given")
-    return _made(root, taken, key)
+        else:
+            taken[each.name] = default
+    with keyed(key):
+        return root(**taken)
 
 
-def _made(kind: type[Root], taken: Mapping[str, Any], key: str) -> Root:
+@contextmanager
+def keyed(key: str) -> Iterator[None]:
+    """Where a part refuses one of its own settings, the sentence names it by the key it has in the whole."""
     try:
-        return kind(**taken)
+        yield
     except ApccError as error:
-        # A part names its own setting; here it has a longer name.
         raise type(error)(_join(key, str(error))) from error
 
 
-def _value(value: Any, each: Field[Any], root: type[Settings], key: str, trust: Trust) -> Any:
+def _value(value: Any, each: Field[Any], root: type[Settings], key: str, trust: Trust, default: Any) -> Any:
     about, annotation = about_of(each), _types(root)[each.name]
     if about.base is not None:
-        return None if value is None else read_part(value, about.base, key, trust)
+        return None if value is None else read_part(value, about.base, key, trust, default)
     options = typing.get_args(annotation) if typing.get_origin(annotation) in (Union, UnionType) else (annotation,)
     nested = next((option for option in options if is_dataclass(option)), None)
     if value is None and type(None) in options:
         return None
     if nested is not None:
-        return read(value, cast(type[Settings], nested), key, trust)
+        kind = cast(type[Settings], nested)
+        return read(value, kind, key, trust, default if isinstance(default, kind) else None)
     for option in options:
         origin, inner = typing.get_origin(option), typing.get_args(option)
         if origin is dict and is_dataclass(inner[1]) and isinstance(value, Mapping):
@@ -94,12 +104,14 @@ def _entries(value: Any, inner: Any, key: str) -> tuple[Any, ...]:
     return tuple(value)
 
 
-def read_part(values: Any, base: type, key: str, trust: Trust = Trust.ANY) -> Settings:
-    """The settings of the part that `values` name by their `kind`.
+def read_part(values: Any, base: type, key: str, trust: Trust = Trust.ANY, default: Any = None) -> Settings:
+    """The settings of the part that `values` name by their `kind`; those of `default`, changed, where they name none.
 
     Raises:
         ConfigError: No class is named, it is not of `base`, or it has no such settings.
     """
+    if isinstance(values, Mapping) and "kind" not in values and isinstance(default, Settings):
+        return read(values, type(default), key, trust, default)
     if not isinstance(values, Mapping) or not isinstance(values.get("kind"), str) or values["kind"] == MUST:
         raise ConfigError(f"{_join(key, 'kind')} must name a class, as package.module.Class")
     part = class_named(_join(key, "kind"), values["kind"], base, trust)

@@ -12,7 +12,8 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 
 from apcc_torch.composition.conf_path import conf_path
-from apcc_torch.composition.realtime import RealtimeConfig
+from apcc_torch.composition.explained import explained
+from apcc_torch.composition.realtime import composed, schema
 from apcc_torch.errors import ApccError
 from apcc_torch.experiments.folder import metrics_text
 from apcc_torch.hardware.stops import exit_code_table
@@ -20,8 +21,15 @@ from apcc_torch.paper import arm_series as arm_run
 
 log = logging.getLogger("apcc_torch.robot")
 
-ConfigStore.instance().store(name="realtime_schema", node=RealtimeConfig)
+
+def _every_setting(*, _root_: DictConfig) -> str:
+    """For the manual: the settings that are composed, and what they mean."""
+    return explained(composed(OmegaConf.masked_copy(_root_, [name for name in _root_ if name != "hydra"])))
+
+
+ConfigStore.instance().store(name="realtime_schema", node=schema())
 OmegaConf.register_new_resolver("exit_codes", exit_code_table, replace=True)
+OmegaConf.register_new_resolver("settings", _every_setting, replace=True)
 
 
 @hydra.main(version_base="1.3", config_path=conf_path(), config_name="realtime")

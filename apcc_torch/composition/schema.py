@@ -201,10 +201,8 @@ class ReplayConfig:
     forward: list[float] | None = None
     base_position: list[float] | None = None
     first_abscissa: float | None = None
-    max_twist: float = 0.8
-    max_speed: float = 1.0
-    max_angular_rate: float = 8.0
     frames: int | None = None
+    gate: dict[str, Any] = field(default_factory=dict)
 
 
 @dataclass

@@ -11,8 +11,9 @@ import torch
 from apcc_torch.composition.build import Builder
 from apcc_torch.composition.schema import SimulateConfig
 from apcc_torch.errors import ConfigError
-from apcc_torch.estimation.sensor_gate import SensorGate
+from apcc_torch.estimation.sensor_gate import SensorGate, SensorGateSettings
 from apcc_torch.experiments.folder import RunFolder, progress_bar
+from apcc_torch.reading import read
 from apcc_torch.recordings.recorded_arm import TRUNK_BASE, TRUNK_DIRECTION
 from apcc_torch.recordings.recording import detect_layout, load_recording
 from apcc_torch.recordings.replay import held_out_error, replay
@@ -55,13 +56,7 @@ def run(config: SimulateConfig, folder: Path) -> dict[str, float]:
     robot = dataclasses.replace(config.robot, rest_lengths=lengths, sensors=abscissae, racks=abscissae)
     build = Builder(dataclasses.replace(config, robot=robot))
     controller = build.controller()
-    gate = SensorGate(
-        len(abscissae),
-        max_speed=r.max_speed,
-        max_angular_rate=r.max_angular_rate,
-        max_twist=r.max_twist,
-        max_reach=[1.5 * a for a in abscissae],
-    )
+    gate = SensorGate(calibration.abscissae, read(r.gate, SensorGateSettings, "replay.gate"))
     frames = slice(r.frames)
     with torch.inference_mode():
         log = replay(

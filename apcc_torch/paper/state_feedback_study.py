@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from apcc_torch.composition.build import Builder
-from apcc_torch.composition.realtime import RealtimeConfig, model_settings
+from apcc_torch.composition.realtime import RealtimeSettings, model_settings
 from apcc_torch.errors import DataError
 from apcc_torch.estimation.sensor_curve import SensorCurve
 from apcc_torch.experiments.realtime_run import LOG, settings_of
@@ -37,7 +37,7 @@ class Motion(NamedTuple):
     orientation_ok: Tensor
 
 
-def motion(folder: Path) -> tuple[RealtimeConfig, Motion]:
+def motion(folder: Path) -> tuple[RealtimeSettings, Motion]:
     """A run's settings and what its sensors saw.
 
     Raises:
@@ -51,7 +51,7 @@ def motion(folder: Path) -> tuple[RealtimeConfig, Motion]:
     return settings_of(record), Motion(torch.tensor(rows["time"]), poses, *masks)
 
 
-def estimate(config: RealtimeConfig, seen: Motion) -> Estimates:
+def estimate(config: RealtimeSettings, seen: Motion) -> Estimates:
     """Algorithm 2 over a run, decoupled and not, from poses and from positions, each from its own last result.
 
     Raises:
@@ -64,7 +64,7 @@ def estimate(config: RealtimeConfig, seen: Motion) -> Estimates:
     found: Estimates = {}
     for mode in MODES:
         feedback = replace(config.feedback, mode=mode)
-        build = Builder(model_settings(replace(config, feedback=feedback, dtype="float64")))
+        build = Builder(model_settings(config.changed(feedback=feedback, dtype="float64")))
         algorithm, backbone = build.controller().feedback, build.backbone()
         q = torch.zeros(len(cases), backbone.n, dtype=torch.float64)
         results = []

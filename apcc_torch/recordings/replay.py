@@ -11,7 +11,7 @@ from apcc_torch.control.controller import APCCController
 from apcc_torch.control.step_io import Measurement, Target
 from apcc_torch.errors import ConfigError, DataError, ShapeError, ValueRangeError
 from apcc_torch.estimation.feedback import Feedback
-from apcc_torch.estimation.rest_calibration import Calibration
+from apcc_torch.estimation.rest_calibration import RestCalibration
 from apcc_torch.estimation.savitzky_golay import SavitzkyGolay, SavitzkyGolayState
 from apcc_torch.estimation.sensor_gate import GateVerdict, SensorGate
 from apcc_torch.estimation.state_feedback import StateFeedback
@@ -40,7 +40,7 @@ class _Frames(NamedTuple):
 
 def _frames(
     recording: Recording,
-    calibration: Calibration,
+    calibration: RestCalibration,
     feedback: StateFeedback,
     gate: SensorGate,
     frames: slice,
@@ -73,7 +73,7 @@ def _frames(
 
 def replay(
     recording: Recording,
-    calibration: Calibration,
+    calibration: RestCalibration,
     estimator: StateFeedback | APCCController,
     gate: SensorGate,
     pi_hat: Tensor | None = None,
@@ -204,7 +204,7 @@ def _derivative(smooth: SavitzkyGolay, q_bar: Tensor, time: Tensor) -> Tensor:
 def _target(
     position: Tensor,
     recording: Recording,
-    calibration: Calibration,
+    calibration: RestCalibration,
     backbone: KinematicModel,
     frames: slice,
     like: Tensor,
@@ -244,7 +244,7 @@ def _run(
 
 def held_out_error(
     recording: Recording,
-    calibration: Calibration,
+    calibration: RestCalibration,
     feedback: StateFeedback,
     gate: SensorGate,
     frames: slice = slice(None),

@@ -14,7 +14,7 @@ from apcc_torch.model.dynamics import EquationOfMotion, SoftArmDynamics
 from apcc_torch.model.friction import TendonTransmission
 from apcc_torch.model.integrators import Actuation, ArmState, guard, semi_implicit_step
 from apcc_torch.model.tendons import TendonRouting
-from apcc_torch.native.compiled import compiled
+from apcc_torch.native.compiled import Step, compiled
 from apcc_torch.part import hold, hold_rows
 from apcc_torch.settings import Setting, aligned, check_setting
 from apcc_torch.simulation.rollout import rollout
@@ -65,6 +65,7 @@ class Plant(nn.Module):
         if dynamics.base_rotation.dim() != 2:
             raise ConfigError("base_rotation of the plant must be one (3, 3) rotation, shared by all rows")
         self.dynamics = dynamics
+        self.routing = routing
         self.pid = pid
         hold(self, payload=payload, tendon_damping=tendon_damping)
         self.transmission = transmission
@@ -87,6 +88,23 @@ class Plant(nn.Module):
         return self.pid(
             z, self.lengths(state.q), self.lengths(state.qdot), reference.y_d, reference.ydot_d, reference.force
         )
+
+    def tensions(self, now: PlantState, reference: TendonReference) -> Tensor:
+        """What the motors feel (..., n_a), N; a tendon that may be slack does not push."""
+        u = self.forces(now.arm, now.z, reference)
+        return torch.relu(-u) if self.transmission is not None and self.transmission.slack else -u
+
+    def limp(self) -> Plant:
+        """The same arm with motors that have no torque."""
+        loop = TendonPID(0.0, 0.0, 0.0)
+        return Plant(
+            self.dynamics, self.routing, loop, self.payload, self.tendon_damping, self.transmission, self.bound
+        )
+
+    def stepper(self, dt: float, compile: str = "off") -> Step:
+        """One step of `dt`, s, run as `compile` says, see `native.compiled`."""
+        one = PlantStep(self, dt)
+        return compiled(one, one.blank(), compile)
 
     def step(self, state: ArmState, z: Tensor, reference: TendonReference, dt: float) -> tuple[ArmState, Tensor]:
         """One plant step of order 2: linearly implicit Euler over dt and twice over dt/2, extrapolated.

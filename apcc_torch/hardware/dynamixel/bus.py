@@ -8,11 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 
-from dynamixel_sdk import COMM_RX_TIMEOUT, COMM_SUCCESS, Protocol2PacketHandler
-
 from apcc_torch.errors import CommunicationError, DeviceFaultError, HardwareError
 from apcc_torch.hardware.dynamixel.port import BusPort
 from apcc_torch.hardware.dynamixel.registers import Register
+
+try:
+    from dynamixel_sdk import COMM_RX_TIMEOUT, COMM_SUCCESS, Protocol2PacketHandler
+except ModuleNotFoundError:  # the settings can be read all the same; who builds the driver is told
+    Protocol2PacketHandler = object
 
 # Places in a status packet: header (4), id, length (2), instruction, error, data, checksum (2).
 ID, LENGTH, ERROR, DATA = 4, 5, 8, 9
