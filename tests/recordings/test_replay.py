@@ -78,7 +78,7 @@ def made_up_calibration(recording: Recording, base: Tensor) -> RestCalibration:
 
 
 def gate() -> SensorGate:
-    return SensorGate(3, max_reach=(1.5 * X).tolist())
+    return SensorGate(X)
 
 
 def feedback(backbone: PCCBackbone, mode: str = "pose", **settings: float) -> StateFeedback:
@@ -356,7 +356,7 @@ def test_bad_recordings_and_arguments_give_one_clear_error() -> None:
     with pytest.raises(DataError, match="has the bodies"):
         replay(dataclasses.replace(recording, names=("a", "b", "c")), calibration, arm, gate())
     with pytest.raises(ShapeError, match="gate has 2 sensors"):
-        replay(recording, calibration, arm, SensorGate(2))
+        replay(recording, calibration, arm, SensorGate(X[:2]))
     with pytest.raises(ShapeError, match="L0 must have shape"):
         replay(recording, calibration, arm, gate(), PI[:2])
     aimless = dataclasses.replace(recording, target=torch.full((FRAMES, 3), math.nan, dtype=torch.float64))
