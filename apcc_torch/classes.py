@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from enum import Enum
 from importlib import import_module
+from inspect import isabstract
 from pathlib import Path
 from typing import Any
 
@@ -34,7 +35,7 @@ def class_named(key: str, name: str, base: type, trust: Trust = Trust.ANY) -> An
         trust: Which names are taken at all; nothing is imported for one that is not.
 
     Raises:
-        ConfigError: There is no such class, it is not of `base`, or is not trusted.
+        ConfigError: There is no such class, it is not of `base`, lacks a method, or is not trusted.
     """
     check_trusted(key, name, trust)
     module, _, attribute = name.rpartition(".")
@@ -48,6 +49,9 @@ def class_named(key: str, name: str, base: type, trust: Trust = Trust.ANY) -> An
         raise ConfigError(f"{key} must be a class, as package.module.Class, got {name!r}: {error}") from error
     if not (isinstance(named, type) and issubclass(named, base)):
         raise ConfigError(f"{key} must be a {base.__name__}, got {name!r}")
+    if isabstract(named):
+        lacking = ", ".join(sorted(named.__abstractmethods__))
+        raise ConfigError(f"{key} must be a class that is complete, and {name} lacks {lacking}")
     return named
 
 

@@ -24,7 +24,7 @@ log = logging.getLogger("apcc_torch.robot")
 
 def _every_setting(*, _root_: DictConfig) -> str:
     """For the manual: the settings that are composed, and what they mean."""
-    return explained(composed(OmegaConf.masked_copy(_root_, [name for name in _root_ if name != "hydra"])))
+    return explained(composed(OmegaConf.masked_copy(_root_, [str(name) for name in _root_ if name != "hydra"])))
 
 
 ConfigStore.instance().store(name="realtime_schema", node=schema())

@@ -43,8 +43,8 @@ class Device(Configurable, ABC):
             settings: Of this class.
             world: What it shares with the run's other device; one that is real needs nothing of it.
         """
-        made: Any = cls
-        device: Self = made(settings)
+        kind: Any = cls
+        device: Self = kind(settings)
         return device
 
     @abstractmethod

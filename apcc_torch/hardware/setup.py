@@ -70,10 +70,10 @@ class Setup:
 
     def __post_init__(self) -> None:
         """Checks that the parts fit."""
-        tendons, wanted = self.actuator.n_tendons, self.control.n_tendons
-        if tendons != wanted or self.limits.lower.shape[0] != wanted:
+        tendons, n_a = self.actuator.n_tendons, self.control.n_tendons
+        if tendons != n_a or self.limits.lower.shape[0] != n_a:
             raise ConfigError(
-                f"the controller has {wanted} tendons, the actuator {tendons}, the limits {self.limits.lower.shape[0]}"
+                f"the controller has {n_a} tendons, the actuator {tendons}, the limits {self.limits.lower.shape[0]}"
             )
         if self.sensor.n_bodies != self.control.n_bodies:
             raise ConfigError(

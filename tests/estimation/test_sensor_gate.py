@@ -11,7 +11,15 @@ from scipy.spatial.transform import Rotation
 from torch import Tensor
 
 from apcc_torch.errors import ConfigError, ValueRangeError
-from apcc_torch.estimation.sensor_gate import GateState, GateVerdict, Reason, SensorGate, count_reasons, gate_recording
+from apcc_torch.estimation.sensor_gate import (
+    GateState,
+    GateVerdict,
+    Reason,
+    SensorGate,
+    SensorGateSettings,
+    count_reasons,
+    gate_recording,
+)
 from apcc_torch.lie.rotations import rotation_angle
 from apcc_torch.recordings.recording import load_recording
 from apcc_torch.recordings.rest_pose import calibrate, poses_of
@@ -195,6 +203,16 @@ def test_half_a_turn_and_no_reach_switch_a_check_off() -> None:
     assert verdict.orientation_reason.tolist() == [Reason.OK, Reason.TOO_BENT]
     _, verdict = gate(state, frame(turned(0, 0, 3.1), turned(0, 0, 2.9)), ALL, now(0.0))
     assert verdict.orientation_reason.tolist() == [Reason.OK, Reason.OK]
+
+
+def test_a_saved_gate_comes_back_with_every_limit() -> None:
+    gate = SensorGate(SENSORS, max_speed=3.0, max_bend=[1.0, 2.0], reach=None)
+    other = SensorGate(0.5 * SENSORS)
+    other.load_state_dict(gate.state_dict())
+    assert (other.max_speed, other.reach) == (3.0, None) and "max_speed=3.0" in repr(other)
+    for name, value in gate.named_buffers():
+        assert torch.equal(other.get_buffer(name), value), name
+    assert SensorGate(SENSORS, SensorGateSettings(max_twist=0.5)).max_twist.tolist() == [0.5, 0.5]
 
 
 # Stretches of the recording, and how many frames in each have disk 3 swapped, counted by hand from its jumps.

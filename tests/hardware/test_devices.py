@@ -73,6 +73,10 @@ def test_a_gripper_is_a_tenth_motor() -> None:
             ("hardware.actuator.kind=apcc_torch.hardware.optitrack.sensor.OptiTrackSensor",),
             r"^hardware\.actuator\.kind must be a TendonActuator, got",
         ),
+        (
+            ("hardware.actuator.kind=apcc_torch.hardware.interfaces.TendonActuator",),
+            "is complete, and apcc_torch.hardware.interfaces.TendonActuator lacks arm, calibrate, connect",
+        ),
         (("hardware.actuator.kind=apcc_torch.hardware.dynamixel.actuator.DynamixelActuator",), "port must be given"),
     ],
 )

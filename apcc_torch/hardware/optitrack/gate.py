@@ -142,11 +142,11 @@ class BodyGate:
     def _identity(self, i: int, position: Vector, places: Sequence[Vector | None]) -> int | None:
         """The other body whose place is nearest, if it is nearer than the body's own and within the swap radius."""
         own = places[i]
-        nearest, found = math.inf if own is None else math.dist(own, position), None
+        nearest, other = math.inf if own is None else math.dist(own, position), None
         for j, place in enumerate(places):
             if j != i and place is not None and math.dist(place, position) < nearest:
-                nearest, found = math.dist(place, position), j
-        return found if nearest <= self._settings.swap_radius else None
+                nearest, other = math.dist(place, position), j
+        return other if nearest <= self._settings.swap_radius else None
 
     def _recover(self, track: _Track, body: BodyPose, time: float) -> Reason:
         """Counts the consistent frames of a body in doubt."""
