@@ -12,7 +12,8 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 
 from apcc_torch.composition.conf_path import conf_path
-from apcc_torch.composition.realtime import RealtimeConfig
+from apcc_torch.composition.realtime import RealtimeSettings
+from apcc_torch.composition.schema import schema
 from apcc_torch.errors import ApccError
 from apcc_torch.experiments.folder import metrics_text
 from apcc_torch.hardware.stops import exit_code_table
@@ -20,7 +21,8 @@ from apcc_torch.paper import arm_series as arm_run
 
 log = logging.getLogger("apcc_torch.robot")
 
-ConfigStore.instance().store(name="realtime_schema", node=RealtimeConfig)
+
+ConfigStore.instance().store(name="realtime_schema", node=schema(RealtimeSettings))
 OmegaConf.register_new_resolver("exit_codes", exit_code_table, replace=True)
 
 

@@ -8,13 +8,14 @@ from hydra import compose, initialize_config_dir
 from hydra.core.config_store import ConfigStore
 from omegaconf import DictConfig, OmegaConf
 
+from apcc_torch.composition import realtime
 from apcc_torch.composition.conf_path import conf_path
-from apcc_torch.composition.realtime import RealtimeConfig
+from apcc_torch.composition.realtime import RealtimeSettings
 from apcc_torch.composition.schema import SimulateConfig
 from apcc_torch.composition.typed import typed
 
 ConfigStore.instance().store(name="simulate_schema", node=SimulateConfig)
-ConfigStore.instance().store(name="realtime_schema", node=RealtimeConfig)
+ConfigStore.instance().store(name="realtime_schema", node=realtime.schema())
 
 # Experiments that only the program for an arm, real or simulated, can run.
 ON_AN_ARM = {"calibration", "experiment_1", "experiment_2"}
@@ -31,10 +32,15 @@ def composed(*overrides: str) -> SimulateConfig:
     return typed(raw(*overrides), SimulateConfig)
 
 
-def composed_realtime(*overrides: str) -> RealtimeConfig:
-    """The settings of a run in real time."""
+def raw_realtime(*overrides: str) -> DictConfig:
+    """What hydra makes of the overrides for the arm in real time."""
     with initialize_config_dir(conf_path(), version_base="1.3"):
-        return typed(compose("realtime", list(overrides)), RealtimeConfig)
+        return compose("realtime", list(overrides))
+
+
+def composed_realtime(*overrides: str) -> RealtimeSettings:
+    """The settings of a run in real time."""
+    return realtime.composed(raw_realtime(*overrides))
 
 
 @cache
