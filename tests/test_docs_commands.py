@@ -61,19 +61,15 @@ BLOCKS = [block for page in PAGES for block in python_blocks(page)]
 FLAGS = {"-m", "--multirun", "--batch"}
 
 
-@cache
-def experiment(name: str, overrides: tuple[str, ...]) -> Any:
-    """An experiment of a benchmark, which many of its commands share."""
-    return composed(f"experiment={name}", *overrides)
-
-
 def composed_benchmark(*overrides: str) -> BenchmarkConfig:
     """The benchmark's settings, with those of the runs that the overrides name, else of a comparison's first run."""
     ConfigStore.instance().store(name="benchmark_schema", node=BenchmarkConfig)
     with initialize_config_dir(conf_path(), version_base="1.3"):
         config = typed(compose("benchmark", list(overrides)), BenchmarkConfig)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(benchmark, "experiment", lambda name, changes: experiment(name, tuple(changes)))
+        patch.setattr(
+            benchmark, "experiment", lambda name, changes: settings("simulate", f"experiment={name}", *changes)
+        )
         for name, comparison in config.grid.comparisons.items():
             named = [run for run in comparison.runs if f"{name}.runs.{run}" in " ".join(overrides)]
             for run in named or [*comparison.runs][:1]:
@@ -96,6 +92,12 @@ PROGRAMS: dict[str, Callable[..., Any]] = {
     "identify": composed_identify,
 }
 """A program of hydra's -> what composes and reads its settings."""
+
+
+@cache
+def settings(program: str, *overrides: str) -> Any:
+    """A program's settings; composing them is what takes the time here."""
+    return PROGRAMS[program](*overrides)
 
 
 def points(overrides: list[str]) -> Iterator[list[str]]:
@@ -152,10 +154,10 @@ def test_command(command: Command, monkeypatch: pytest.MonkeyPatch) -> None:
     if command.program not in PROGRAMS:
         options = options_of(command, monkeypatch)
         if "settings" in options and "comparisons" in (ROOT / command.program).read_text(encoding="utf-8"):
-            composed_benchmark(*options.settings)
+            settings("benchmark", *options.settings)
         return
     for overrides in points([argument for argument in command.arguments if argument not in FLAGS]):
-        assert PROGRAMS[command.program](*overrides)
+        assert settings(command.program, *overrides)
 
 
 @cache
@@ -173,11 +175,11 @@ def test_python_block(block: Block, monkeypatch: pytest.MonkeyPatch) -> None:
     exec(compile(block.code, block.name, "exec"), names_in(block.page))
 
 
-def flat(settings: Any, prefix: str = "") -> dict[str, Any]:
+def flat(group: Any, prefix: str = "") -> dict[str, Any]:
     """Dotted key -> value of settings within settings, groups included; what stands in a mapping is not followed."""
     by_key: dict[str, Any] = {}
-    for each in fields(settings):
-        value = getattr(settings, each.name)
+    for each in fields(group):
+        value = getattr(group, each.name)
         by_key[prefix + each.name] = value
         if is_dataclass(value) and not isinstance(value, type):
             by_key |= flat(value, f"{prefix}{each.name}.")
@@ -189,20 +191,11 @@ def known_keys() -> dict[str, Any]:
     """Every key of every program, whatever is chosen."""
     choices = [[f"{g}={path.stem}" for path in sorted((Path(conf_path()) / g).glob("*.yaml"))] for g in CHOSEN]
     some = zip_longest(*choices, fillvalue="figures=false")
-    every = [composed("experiment=dynamic_run_2", *dict.fromkeys(chosen)) for chosen in some]
-    every += [
-        composed("experiment=kinematic"),
-        composed("experiment=replay", "data=x"),
-        composed("experiment=tracking"),
-    ]
-    arm = [
-        composed_realtime(f"experiment={name}", "hardware=dynamixel_optitrack") for name in ("setpoint", "calibration")
-    ]
-    arm += [
-        composed_realtime("experiment=experiment_1"),
-        composed_realtime("experiment=setpoint", "hardware=simulated"),
-    ]
-    return {key: value for c in (*every, *arm, composed_identify()) for key, value in flat(c).items()}
+    every = [settings("simulate", "experiment=dynamic_run_2", *dict.fromkeys(chosen)) for chosen in some]
+    every += [settings("simulate", "experiment=kinematic"), settings("simulate", "experiment=replay", "data=FOLDER")]
+    every += [settings("robot", "experiment=setpoint", "hardware=dynamixel_optitrack")]
+    every += [settings("robot", "experiment=experiment_1"), settings("identify", "data=PATH")]
+    return {key: value for each in every for key, value in flat(each).items()}
 
 
 @pytest.mark.parametrize("page", PAGES, ids=name_of)
