@@ -18,9 +18,9 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from apcc_torch.composition.benchmark import BenchmarkSettings, PairSettings
-from apcc_torch.composition.conf_path import conf_path
 from apcc_torch.composition.run_settings import SimulateSettings
 from apcc_torch.composition.schema import schema, typed
+from apcc_torch.conf_path import conf_path
 from apcc_torch.errors import ApccError, ConfigError
 from apcc_torch.files import write_atomically
 from apcc_torch.paper import benchmark_run as paper

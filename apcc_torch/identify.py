@@ -13,8 +13,8 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 
 from apcc_torch.composition.arm_file import arm_override
-from apcc_torch.composition.conf_path import conf_path
 from apcc_torch.composition.identify import IdentifySettings, known_arm
+from apcc_torch.conf_path import conf_path
 from apcc_torch.errors import ApccError, ConfigError
 from apcc_torch.experiments import identification
 from apcc_torch.reading import defaults, read

@@ -11,9 +11,9 @@ from hydra.core.config_store import ConfigStore
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 
-from apcc_torch.composition.conf_path import conf_path
 from apcc_torch.composition.realtime import RealtimeSettings
 from apcc_torch.composition.schema import schema
+from apcc_torch.conf_path import conf_path
 from apcc_torch.errors import ApccError
 from apcc_torch.experiments.folder import metrics_text
 from apcc_torch.hardware.stops import exit_code_table

@@ -15,9 +15,10 @@ from dataclasses import MISSING, dataclass, field, fields
 from typing import Any, ClassVar, NamedTuple, Self, TypeVar
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from apcc_torch.errors import ConfigError, ValueRangeError
+from apcc_torch.modes import values_of
 
 Setting = float | Tensor
 """A number for all rows, or (...) numbers that broadcast with the leading dimensions of what they are used on."""
@@ -114,6 +115,9 @@ class Settings:
 
     part: ClassVar[type[Any]]
     """The class that they are of; see `Part`."""
+
+    def __init_subclass__(cls) -> None:
+        torch.serialization.add_safe_globals([cls])
 
     def __post_init__(self) -> None:
         for each in fields(self):
@@ -245,9 +249,9 @@ def check_type(key: str, value: Any, annotation: str) -> None:
 
 
 def numbers_in(value: Any) -> Iterable[float]:
-    """Every number in a number, a tensor, or lists and mappings of them; this reads values."""
+    """Every number in a number, a tensor, or lists and mappings of them; none of a tensor without values to read."""
     if isinstance(value, Tensor):
-        yield from value.detach().flatten().tolist()
+        yield from values_of(value.detach().flatten()) or ()
     elif isinstance(value, Mapping):
         for entry in value.values():
             yield from numbers_in(entry)
@@ -293,6 +297,8 @@ def spread(name: str, value: Numbers, n: int) -> Tensor:
     if isinstance(value, Tensor):
         if value.dim() and value.shape[-1] != n:
             raise ConfigError(f"{name} must have {n} entries, got {value.shape[-1]}")
+        if isinstance(value, nn.Parameter) and not value.dim():
+            raise ConfigError(f"{name} is trained as {n} numbers: hand in nn.Parameter(torch.full(({n},), number))")
         return value if value.dim() else value.expand(n)
     if isinstance(value, Mapping):
         if set(value) != {"along"} or isinstance(value["along"], str) or not len(value["along"]):

@@ -11,9 +11,9 @@ from tqdm import tqdm
 
 from apcc_torch.benchmark import compose_pairs
 from apcc_torch.composition.benchmark import BenchmarkConfig
-from apcc_torch.composition.conf_path import conf_path
 from apcc_torch.composition.schema import SimulateConfig
 from apcc_torch.composition.typed import typed
+from apcc_torch.conf_path import conf_path
 
 COMPILED = 'experiments.common=["compile=aot"]'
 

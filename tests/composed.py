@@ -9,10 +9,11 @@ from hydra.core.config_store import ConfigStore
 from omegaconf import DictConfig, OmegaConf
 
 from apcc_torch.composition import realtime
-from apcc_torch.composition.conf_path import conf_path
+from apcc_torch.conf_path import conf_path
 from apcc_torch.composition.realtime import RealtimeSettings
 from apcc_torch.composition.schema import SimulateConfig
 from apcc_torch.composition.typed import typed
+from apcc_torch.conf_path import conf_path
 
 ConfigStore.instance().store(name="simulate_schema", node=SimulateConfig)
 ConfigStore.instance().store(name="realtime_schema", node=realtime.schema())

@@ -28,7 +28,7 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 import apcc_torch
 from apcc_torch import benchmark
 from apcc_torch.composition.benchmark import BenchmarkConfig
-from apcc_torch.composition.conf_path import conf_path
+from apcc_torch.conf_path import conf_path
 from apcc_torch.composition.identify import IdentifyConfig
 from apcc_torch.composition.typed import typed
 from composed import composed, composed_realtime

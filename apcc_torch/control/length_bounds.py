@@ -9,7 +9,8 @@ import torch
 from torch import Tensor
 
 from apcc_torch.errors import ConfigError, ValueRangeError
-from apcc_torch.part import Part, hold_rows
+from apcc_torch.modes import holds, none_left
+from apcc_torch.part import Part, hold_rows, refuse_parameter
 from apcc_torch.settings import OURS, Numbers, Settings, resolved, setting, spread
 from apcc_torch.shapes import check_finite, check_tensor
 
@@ -63,17 +64,21 @@ class LengthBounds(Part):
     def __init__(self, nominal: Tensor, abscissae: Tensor | None = None, *settings: Any, **changes: Any) -> None:
         super().__init__()
         s = resolved(LengthBoundsSettings, settings, changes)
+        for name, value in {"nominal": nominal, "abscissae": abscissae, "lower": s.lower, "upper": s.upper}.items():
+            refuse_parameter(name, value, "bounds in metres are made of it once; hand in a plain tensor")
         check_finite("nominal", check_tensor("nominal", nominal, (None,)))
         n_b = nominal.shape[-1]
         least, largest = (
             None if share is None else spread(name, share, n_b).to(nominal) * nominal
             for name, share in {"lower": s.lower, "upper": s.upper}.items()
         )
-        if least is not None and largest is not None and bool((least >= largest).any()):
+        if least is not None and largest is not None and not holds(least < largest):
             raise ValueRangeError(f"lower must be below upper for every section, got {s.lower} and {s.upper}")
         hold_rows(self, least=(least, 1), largest=(largest, 1), ends=(_ends(s.reach, abscissae, n_b), 1))
         # How many sections each wanted end lies behind; one that is zero asks for nothing.
-        self._reaching = [] if self.ends is None else [i + 1 for i in range(n_b) if bool((self.ends[..., i] > 0).any())]
+        self._reaching = (
+            [] if self.ends is None else [i + 1 for i in range(n_b) if not none_left(self.ends[..., i] > 0)]
+        )
         self.hold(s)
 
     def forward(self, pi_hat: Tensor, metric: Tensor | None = None) -> Tensor:

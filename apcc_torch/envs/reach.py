@@ -2,14 +2,24 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
+from apcc_torch.envs.simulator import SimulatorSettings
 from apcc_torch.envs.single_env import ArmEnv
+from apcc_torch.envs.tasks import Reach, ReachSettings
 from apcc_torch.envs.vector_env import ArmVectorEnv
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReachEnvSettings(SimulatorSettings, ReachSettings):
+    """Settings of `ReachEnv` and `ReachVectorEnv`."""
 
 
 class ReachVectorEnv(ArmVectorEnv):
     """Many arms; `ReachEnv` is the specification, `ArmVectorEnv` lists the arguments."""
 
-    task = "reach"
+    task = Reach
+    settings_type = ReachEnvSettings
 
 
 class ReachEnv(ArmEnv):
@@ -20,6 +30,10 @@ class ReachEnv(ArmEnv):
     The arm hangs from its base at the origin, 0.6 m long, with nine tendons in three racks and a position sensor at the
     end of each of the model's three sections. A configuration is (dx, dy, dL) a section: bends in rad, elongation in m.
     The world's z axis points up, so the arm lies at z < 0. A step is 10 ms (`control_rate`).
+
+    That is the paper's arm 1. For another `arm` the sizes below follow from its numbers of sections, tendons and
+    sensors; where its last sensor is not at the tip, one more is. Bounds of observed positions, velocities and tendons
+    are in proportion to its length, and elongations stay within shares of its shortest section.
 
     With `dynamics="kinematic"` the arm follows its desired configuration q_d exactly, and the payload plays no part;
     with `"dynamic"` it is the plant of section V-B [Dalenberg]: six sections with mass, damping and tendon friction,

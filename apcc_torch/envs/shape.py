@@ -2,14 +2,24 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
+from apcc_torch.envs.simulator import SimulatorSettings
 from apcc_torch.envs.single_env import ArmEnv
+from apcc_torch.envs.tasks import Shape, ShapeSettings
 from apcc_torch.envs.vector_env import ArmVectorEnv
+
+
+@dataclass(frozen=True, kw_only=True)
+class ShapeEnvSettings(SimulatorSettings, ShapeSettings):
+    """Settings of `ShapeEnv` and `ShapeVectorEnv`."""
 
 
 class ShapeVectorEnv(ArmVectorEnv):
     """Many arms; `ShapeEnv` is the specification, `ArmVectorEnv` lists the arguments."""
 
-    task = "shape"
+    task = Shape
+    settings_type = ShapeEnvSettings
 
 
 class ShapeEnv(ArmEnv):

@@ -2,14 +2,24 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
+from apcc_torch.envs.simulator import SimulatorSettings
 from apcc_torch.envs.single_env import ArmEnv
+from apcc_torch.envs.tasks import Track, TrackSettings
 from apcc_torch.envs.vector_env import ArmVectorEnv
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrackEnvSettings(SimulatorSettings, TrackSettings):
+    """Settings of `TrackEnv` and `TrackVectorEnv`."""
 
 
 class TrackVectorEnv(ArmVectorEnv):
     """Many arms; `TrackEnv` is the specification, `ArmVectorEnv` lists the arguments."""
 
-    task = "track"
+    task = Track
+    settings_type = TrackEnvSettings
 
 
 class TrackEnv(ArmEnv):

@@ -11,6 +11,7 @@ from apcc_torch.errors import ShapeError, ValueRangeError
 from apcc_torch.linalg import solve_spd
 from apcc_torch.model.abscissae import decouple
 from apcc_torch.model.kinematic_model import KinematicModel
+from apcc_torch.modes import full_precision
 from apcc_torch.shapes import check_tensor
 
 _SHORTEST = 1e-4  # m; a section squeezed to nothing keeps this much, so that its neighbours stay finite
@@ -27,6 +28,7 @@ class OracleFit(NamedTuple):
     error: Tensor
 
 
+@full_precision
 def oracle_fit(
     model: KinematicModel,
     points: Tensor,

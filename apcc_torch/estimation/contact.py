@@ -9,11 +9,12 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from apcc_torch.errors import ConfigError, ValueRangeError
 from apcc_torch.estimation.external_force import ForceBalance, Posture, Tare
 from apcc_torch.estimation.weighted_estimate import EstimateStatus, WeightedEstimate, weighted_estimate
+from apcc_torch.part import Part
 
 # Three components of the force, and its place.
 UNKNOWNS = 4
@@ -41,7 +42,7 @@ class Contact(NamedTuple):
     gain: Tensor
 
 
-class ContactSearch(nn.Module):
+class ContactSearch(Part):
     """Finds a contact force at an unknown abscissa.
 
     Args:
@@ -81,7 +82,14 @@ class ContactSearch(nn.Module):
         self.refinements = refinements
         self.nearest = nearest
         self.longest = longest
-        self.register_buffer("shares", torch.linspace(0.0, 1.0, candidates, dtype=torch.float64))
+        self.candidates = candidates
+        self.derive()
+
+    def derive(self) -> None:
+        """Where on the arm the abscissae that are tried lie."""
+        device = self.balance.feedback.abscissae.device
+        shares = torch.linspace(0.0, 1.0, self.candidates, dtype=torch.float64, device=device)
+        self.register_buffer("shares", shares, persistent=False)
 
     def forward(
         self, posture: Posture, tare: Tare | None = None, mask: Tensor | None = None, angular_mask: Tensor | None = None

@@ -11,7 +11,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from apcc_torch.errors import ConfigError
 from apcc_torch.estimation.feedback_covariance import feedback_covariance
@@ -19,7 +19,8 @@ from apcc_torch.estimation.state_feedback import StateFeedback
 from apcc_torch.estimation.weighted_estimate import WeightedEstimate, weighted_estimate
 from apcc_torch.model.static_body import StaticBody
 from apcc_torch.model.tendons import TendonRouting
-from apcc_torch.part import hold, hold_rows
+from apcc_torch.modes import full_precision
+from apcc_torch.part import Part, hold, hold_rows
 from apcc_torch.settings import Setting, aligned, check_setting
 from apcc_torch.shapes import batch_shape, check_tensor
 
@@ -74,6 +75,7 @@ class Tare(NamedTuple):
     covariance: Tensor
 
 
+@full_precision
 def tare(imbalance: Tensor, floor: Tensor) -> Tare:
     """The offset and the spread of an unloaded arm's balance over N postures.
 
@@ -88,7 +90,7 @@ def tare(imbalance: Tensor, floor: Tensor) -> Tare:
     return Tare(offset, covariance + torch.diag_embed(floor**2))
 
 
-class ForceBalance(nn.Module):
+class ForceBalance(Part):
     """Estimates what acts on an arm at rest, or in slow motion, with covariance and status.
 
     Without tensions (`Posture.u` None) only what tendons cannot give tells the load: nothing where they drive every
@@ -117,7 +119,7 @@ class ForceBalance(nn.Module):
     damping_ratio: Setting
     tendon_damping: Setting
     down: Tensor
-    tip: Tensor
+    own_tip: Tensor | None
 
     def __init__(
         self,
@@ -146,9 +148,15 @@ class ForceBalance(nn.Module):
             tendon_damping=check_setting("tendon_damping", tendon_damping, zero=True),
             **{f"{name}_noise": value for name, value in noise._asdict().items()},
         )
-        last = feedback.abscissae[..., -1:] if tip is None else torch.full_like(feedback.abscissae[..., -1:], tip)
-        hold_rows(self, tip=(last.clone(), 1))
-        self.register_buffer("down", torch.tensor([[0.0], [0.0], [-1.0]], dtype=torch.float64))
+        own = None if tip is None else torch.full_like(feedback.abscissae[..., -1:], tip)
+        hold_rows(self, own_tip=(own, 1))
+        down = torch.tensor([[0.0], [0.0], [-1.0]], dtype=torch.float64, device=feedback.abscissae.device)
+        self.register_buffer("down", down, persistent=False)
+
+    @property
+    def tip(self) -> Tensor:
+        """(..., 1) material abscissa of a payload, m."""
+        return self.feedback.abscissae[..., -1:] if self.own_tip is None else self.own_tip
 
     def imbalance(self, posture: Posture, offset: Tensor | None = None) -> Tensor:
         """G + K q_bar - B u (..., n), less `offset`: what external forces must hold, N m and N."""

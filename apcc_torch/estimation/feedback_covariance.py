@@ -8,6 +8,7 @@ from torch import Tensor
 from apcc_torch.estimation.state_feedback import StateFeedback
 from apcc_torch.estimation.step import Residual, damped_step, row_weights
 from apcc_torch.model.abscissae import located
+from apcc_torch.modes import full_precision
 from apcc_torch.settings import Setting, aligned
 from apcc_torch.shapes import batch_shape
 
@@ -15,6 +16,7 @@ from apcc_torch.shapes import batch_shape
 UNSEEN = 1e-10
 
 
+@full_precision
 def feedback_response(
     feedback: StateFeedback,
     q_bar: Tensor,
@@ -55,6 +57,7 @@ def feedback_response(
     return step.unflatten(-1, (k, 6)).to(q_bar.dtype)
 
 
+@full_precision
 def feedback_covariance(
     feedback: StateFeedback,
     q_bar: Tensor,

@@ -11,7 +11,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from apcc_torch.errors import ConfigError, ValueRangeError
 from apcc_torch.estimation.weighted_estimate import EstimateStatus, WeightedEstimate, weighted_estimate
@@ -22,7 +22,7 @@ from apcc_torch.model.dynamics import SoftArmDynamics
 from apcc_torch.model.loads import Loads
 from apcc_torch.model.statics import Equilibrium, equilibrium, load_stiffness
 from apcc_torch.model.tendons import TendonRouting
-from apcc_torch.part import hold
+from apcc_torch.part import Part, hold, hold_rows
 from apcc_torch.settings import Setting, aligned, check_setting
 from apcc_torch.shapes import batch_shape, check_finite, check_tensor
 
@@ -57,7 +57,7 @@ class HeldShapeEstimate(NamedTuple):
     converged: Tensor
 
 
-class HeldShape(nn.Module):
+class HeldShape(Part):
     """Estimates a payload or a tip force from tendon lengths and sensor poses, tendon forces, or both.
 
     Args:
@@ -108,7 +108,7 @@ class HeldShape(nn.Module):
         self.iterations = iterations
         self.step = check_setting("step", step)
         self.limit = check_setting("limit", limit)
-        self.register_buffer("abscissae", abscissae.clone())
+        hold_rows(self, abscissae=(abscissae, 1))
         hold(self, **{f"{name}_noise": value for name, value in noise._asdict().items()})
 
     def forward(

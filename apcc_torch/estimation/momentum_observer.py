@@ -13,13 +13,13 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from apcc_torch.estimation.weighted_estimate import WeightedEstimate, weighted_estimate
 from apcc_torch.model.backbone import PCCBackbone
 from apcc_torch.model.dynamics import SoftArmDynamics
 from apcc_torch.model.tendons import TendonRouting
-from apcc_torch.part import hold
+from apcc_torch.part import Part, hold
 from apcc_torch.settings import Setting, aligned, check_setting
 from apcc_torch.shapes import check_same, check_tensor
 
@@ -37,7 +37,7 @@ class ObserverState(NamedTuple):
     started: Tensor
 
 
-class MomentumObserver(nn.Module):
+class MomentumObserver(Part):
     """Follows the external generalized force of an arm in motion.
 
     Args:
@@ -53,7 +53,6 @@ class MomentumObserver(nn.Module):
 
     gain: Setting
     tendon_damping: Setting
-    B: Tensor
 
     def __init__(
         self,
@@ -71,8 +70,8 @@ class MomentumObserver(nn.Module):
         )
         self.limit = check_setting("limit", limit)
         self.dynamics = dynamics
+        self.routing = routing
         self.backbone = PCCBackbone(dynamics.n_sections, dynamics.base_rotation)
-        self.register_buffer("B", routing.matrix(dynamics.lengths))
 
     def initial_state(self, q: Tensor) -> ObserverState:
         """Before the first sample; q (..., n) is read for its shape alone."""
@@ -89,10 +88,11 @@ class MomentumObserver(nn.Module):
             dt: Time since the last sample, s.
         """
         d = self.dynamics
-        check_tensor("u", u, (self.B.shape[-1],))
+        check_tensor("u", u, (self.routing.n_tendons,))
         check_same(q=q, qdot=qdot, u=u)
-        pull = u - aligned(self.tendon_damping, 1) * (self.B.mT @ qdot.unsqueeze(-1)).squeeze(-1)
-        known = (self.B @ pull.unsqueeze(-1)).squeeze(-1) - d.gravity(q)
+        B = self.routing.matrix(d.lengths)
+        pull = u - aligned(self.tendon_damping, 1) * (B.mT @ qdot.unsqueeze(-1)).squeeze(-1)
+        known = (B @ pull.unsqueeze(-1)).squeeze(-1) - d.gravity(q)
         known = known - d.stiffness_diagonal * q - d.damping_diagonal * qdot
         known = known + (d.coriolis(q, qdot).mT @ qdot.unsqueeze(-1)).squeeze(-1)
         momentum = (d.inertia(q) @ qdot.unsqueeze(-1)).squeeze(-1)

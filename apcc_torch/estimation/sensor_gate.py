@@ -247,8 +247,8 @@ class SensorGate(Part):
 def _first(checks: Sequence[tuple[Reason, Tensor]]) -> Tensor:
     """The code of the first check that holds, Reason.OK where none does."""
     code = torch.zeros_like(checks[-1][1], dtype=torch.int64)
-    for reason, holds in reversed(checks):
-        code = code.masked_fill(holds, int(reason))
+    for reason, applies in reversed(checks):
+        code = code.masked_fill(applies, int(reason))
     return code
 
 

@@ -7,6 +7,7 @@ from torch import Tensor
 
 from apcc_torch.errors import ValueRangeError
 from apcc_torch.estimation.savitzky_golay import SavitzkyGolay
+from apcc_torch.modes import holds
 from apcc_torch.part import hold_rows
 from apcc_torch.shapes import check_positive, check_tensor
 
@@ -32,9 +33,9 @@ class SoftWindow(SavitzkyGolay):
     def __init__(self, weights: Tensor, order: int, derivative: int = 1) -> None:
         check_positive("weights", check_tensor("weights", weights, (None,)))
         super().__init__(weights.shape[-1], order, derivative)
-        if float((weights.detach().amin(-1) / weights.detach().amax(-1)).min()) < torch.finfo(weights.dtype).eps:
+        if not holds(weights.amin(-1) / weights.amax(-1) >= torch.finfo(weights.dtype).eps):
             raise ValueRangeError("weights must not differ by more than the number of digits of their dtype")
-        hold_rows(self, weights=(weights / weights.amax(-1, keepdim=True), 1))
+        hold_rows(self, weights=(weights, 1))
 
     def _importance(self, like: Tensor) -> Tensor:
-        return self.weights.to(like)
+        return (self.weights / self.weights.amax(-1, keepdim=True)).to(like)

@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from apcc_torch.linalg import solve_spd
+from apcc_torch.modes import full_precision
 
 # How much wider than the limit of what counts as known the unknowns may lie: a prior that keeps the solve regular.
 PRIOR = 100.0
@@ -54,6 +55,7 @@ class WeightedEstimate(NamedTuple):
         return WeightedEstimate(value, covariance, residual, misfit, self.status)
 
 
+@full_precision
 def weighted_estimate(r: Tensor, Phi: Tensor, S: Tensor, limit: Tensor) -> WeightedEstimate:
     """The unknowns theta of r = Phi theta, weighted by S^-1.
 

@@ -7,6 +7,7 @@ import math
 import torch
 from torch import Tensor
 
+from apcc_torch.modes import full_precision
 from apcc_torch.shapes import check_tensor
 
 _OUTLIER = 3.0
@@ -37,6 +38,7 @@ def rotation_angle(a: Tensor, b: Tensor) -> Tensor:
     return 2 * torch.asin(chord.clamp(max=1.0))
 
 
+@full_precision
 def chordal_mean(rotations: Tensor) -> Tensor:
     """The rotation (3, 3) nearest to the sum of rotations (N, 3, 3), a robust mean after one trimming.
 

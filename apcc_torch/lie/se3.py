@@ -16,6 +16,7 @@ from torch.nn.functional import pad
 
 from apcc_torch.lie import so3
 from apcc_torch.lie.stumpff import stumpff
+from apcc_torch.modes import full_precision
 from apcc_torch.shapes import batch_shape, check_tensor
 
 
@@ -159,6 +160,7 @@ def inverse(transform: Tensor) -> Tensor:
     return pose(rotation.mT, -(rotation * position.unsqueeze(-1)).sum(-2))
 
 
+@full_precision
 def adjoint(transform: Tensor) -> Tensor:
     """Ad_T (..., 6, 6) = [[R, 0], [hat(p) R, R]]: T exp(xi) T^-1 = exp(Ad_T xi).
 
@@ -202,6 +204,7 @@ def right_jacobian(twist: Tensor) -> Tensor:
     return left_jacobian(-twist)
 
 
+@full_precision
 def left_jacobian_inverse(twist: Tensor) -> Tensor:
     """The inverse (..., 6, 6) of `left_jacobian`, for angles below 2 pi.
 

@@ -17,7 +17,8 @@ from math import pi
 import torch
 from torch import Tensor
 
-from apcc_torch.lie.stumpff import known, stumpff
+from apcc_torch.lie.stumpff import stumpff
+from apcc_torch.modes import known
 from apcc_torch.shapes import check_tensor
 
 # `log` uses its power series where |v|^2 = (4 sin(D / 2) cos(D / 2))^2 is below this, D < 0.045 rad: four terms leave

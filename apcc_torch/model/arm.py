@@ -12,6 +12,7 @@ import torch
 import yaml
 from torch import Tensor
 
+from apcc_torch.conf_path import conf_path
 from apcc_torch.errors import ConfigError, DataError, ValueRangeError
 from apcc_torch.files import write_atomically
 from apcc_torch.lie import so3
@@ -23,8 +24,9 @@ from apcc_torch.model.kinematic_model import KinematicModel
 from apcc_torch.model.stiffness import scaled_stiffness
 from apcc_torch.model.table import Table, table
 from apcc_torch.model.tendons import TendonRouting, rack_routing
+from apcc_torch.modes import holds
 from apcc_torch.reading import deviations, read
-from apcc_torch.settings import OURS, PAPER, Numbers, Setting, Settings, aligned, setting, spread
+from apcc_torch.settings import OURS, PAPER, Numbers, Setting, Settings, aligned, did_you_mean, setting, spread
 
 STANDING = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 BASES = {"hanging": HANGING, "standing": STANDING}
@@ -119,9 +121,9 @@ class Arm(Settings):
             if value is None:
                 continue
             at = vector(value)
-            if not at.shape[-1] or bool((at.diff(dim=-1) <= 0).any()):
+            if not at.shape[-1] or not holds(at.diff(dim=-1) > 0):
                 raise ValueRangeError(f"{name} must be increasing, at least one, got {at.tolist()}")
-            if bool((at > end).any()):
+            if not holds(at <= end):
                 raise ValueRangeError(f"{name} must lie on the arm, {float(end.max()):.4g} m long, got {at.tolist()}")
         if self.true_sensors is not None and vector(self.true_sensors).shape != self.sensor_places().shape:
             raise ConfigError("true_sensors must have as many entries as sensors")
@@ -224,12 +226,16 @@ class Arm(Settings):
     def load(path: str | Path) -> Arm:
         """Reads an arm's file, YAML with the fields of this class as keys.
 
+        Args:
+            path: The file; or the name of an arm that comes with the package in conf/arm, such as "arm_1", the paper's.
+
         Raises:
             DataError: The file cannot be read.
-            ConfigError, ValueRangeError: A key is unknown, or a value out of range.
+            ConfigError, ValueRangeError: There is no arm of that name, a key is unknown, or a value out of range.
         """
+        path = _file_of(path)
         try:
-            values = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
+            values = yaml.safe_load(path.read_text(encoding="utf-8"))
         except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
             raise DataError(f"{path}: cannot be read as an arm's file: {str(error).splitlines()[0]}") from error
         if not isinstance(values, dict):
@@ -249,6 +255,17 @@ class Arm(Settings):
         values = {"name": self.name} | deviations(self)
         text = yaml.safe_dump(values, sort_keys=False, default_flow_style=None, width=120)
         write_atomically(path, "".join(f"# {line}\n" for line in comment.splitlines()) + text)
+
+
+def _file_of(path: str | Path) -> Path:
+    """The file of an arm: what has neither folder nor suffix is a name in conf/arm."""
+    path = Path(path)
+    if path.suffix or len(path.parts) != 1:
+        return path
+    files = {file.stem: file for file in sorted(Path(conf_path(), "arm").glob("*.yaml"))}
+    if path.name not in files:
+        raise ConfigError(f"the package has no arm {path.name!r}{did_you_mean(path.name, files)}")
+    return files[path.name]
 
 
 def vector(values: Lengths) -> Tensor:

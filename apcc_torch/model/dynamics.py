@@ -26,7 +26,8 @@ from apcc_torch.model.inertia import (
 )
 from apcc_torch.model.loads import Loads, Payload, carried_wrench, distributed_load, front
 from apcc_torch.model.velocity_accelerations import accelerations, generalized_force, rates
-from apcc_torch.part import hold_rows
+from apcc_torch.modes import holds
+from apcc_torch.part import Part, hold_rows
 from apcc_torch.shapes import batch_shape, check_finite, check_positive, check_same, check_tensor
 
 
@@ -50,7 +51,7 @@ class Energy(NamedTuple):
     elastic: Tensor
 
 
-class SoftArmDynamics(nn.Module):
+class SoftArmDynamics(Part):
     """Dynamics of a batch of soft arms; parameters may differ from arm to arm through their leading dimensions.
 
     Args:
@@ -71,8 +72,10 @@ class SoftArmDynamics(nn.Module):
 
     lengths: Tensor
     masses: Tensor
-    stiffness_diagonal: Tensor
-    damping_diagonal: Tensor
+    axial_stiffness: Tensor
+    bending_stiffness: Tensor
+    damping_ratio: Tensor
+    own_damping: Tensor | None
     base_rotation: Tensor
     gravity_acceleration: Tensor
     powers: Tensor
@@ -106,33 +109,50 @@ class SoftArmDynamics(nn.Module):
         if base_rotation is None:
             base_rotation = torch.eye(3, dtype=dtype, device=device)
         check_finite("base_rotation", check_tensor("base_rotation", base_rotation, (3, 3)))
-        bending_stiffness, axial_stiffness = torch.broadcast_tensors(bending_stiffness, axial_stiffness)
-        stiffness = torch.stack((bending_stiffness, bending_stiffness, axial_stiffness), dim=-1).flatten(-2)
-        if damping is None:
-            ratio = torch.as_tensor(damping_ratio, dtype=dtype, device=device)
-            damping = ratio.unsqueeze(-1) * stiffness
-        check_finite("damping", check_tensor("damping", damping, (3 * n_b,)))
-        if bool((damping < 0).any()):
+        ratio, acceleration = (
+            value if isinstance(value, nn.Parameter) else torch.as_tensor(value, dtype=dtype, device=device)
+            for value in (damping_ratio, gravity)
+        )
+        hold_rows(self, lengths=(lengths, 1), masses=(masses, 1), base_rotation=(base_rotation, 2))
+        hold_rows(self, axial_stiffness=(axial_stiffness, 1), bending_stiffness=(bending_stiffness, 1))
+        hold_rows(self, damping_ratio=(ratio, 0), own_damping=(damping, 1), gravity_acceleration=(acceleration, 0))
+        viscous = check_finite("damping", check_tensor("damping", self.damping_diagonal, (3 * n_b,)))
+        if not holds(viscous >= 0):
             raise ValueRangeError("damping must not be negative")
-        check_same(lengths=lengths, damping=damping, base_rotation=base_rotation)
-        points, weights = quadrature_nodes(n_quadrature, torch.float64)
-        powers = torch.stack([points**k for k in range(1, 7)])
-        tip = torch.zeros(n_quadrature + 1, n_b, dtype=dtype, device=device)
-        tip[-1, -1] = 1.0
-        acceleration = torch.as_tensor(gravity, dtype=dtype, device=device)
+        check_same(lengths=lengths, damping=viscous, base_rotation=base_rotation)
         batch = batch_shape(
-            lengths=(lengths, 1), masses=(masses, 1), stiffness=(stiffness, 1), damping=(damping, 1),
+            lengths=(lengths, 1), masses=(masses, 1), stiffness=(self.stiffness_diagonal, 1), damping=(viscous, 1),
             base_rotation=(base_rotation, 2), gravity=(acceleration, 0),
         )  # fmt: skip
-        self.n_sections = n_b
-        hold_rows(self, lengths=(lengths, 1), masses=(masses, 1), stiffness_diagonal=(stiffness, 1))
-        hold_rows(self, damping_diagonal=(damping, 1), base_rotation=(base_rotation, 2))
-        hold_rows(self, gravity_acceleration=(acceleration, 0))
         hold_rows(self, batch_marker=(torch.zeros(batch, dtype=dtype, device=device), 0))
-        self.register_buffer("powers", powers.to(dtype=dtype, device=device))
-        self.register_buffer("weights", weights.to(dtype=dtype, device=device))
-        self.register_buffer("tip", tip)
-        self.register_buffer("before", torch.ones(n_b, n_b, dtype=dtype, device=device).tril(-1))
+        self.n_sections, self.n_quadrature = n_b, n_quadrature
+        self.derive()
+
+    def derive(self) -> None:
+        """The mass points of a section, where the tip is among them, and which sections lie before each."""
+        like, n_b = self.lengths.detach(), self.n_sections
+        points, weights = quadrature_nodes(self.n_quadrature, torch.float64)
+        tip = like.new_zeros(self.n_quadrature + 1, n_b)
+        tip[-1, -1] = 1.0
+        self.register_buffer("powers", torch.stack([points**k for k in range(1, 7)]).to(like), persistent=False)
+        self.register_buffer("weights", weights.to(like), persistent=False)
+        self.register_buffer("tip", tip, persistent=False)
+        self.register_buffer("before", like.new_ones(n_b, n_b).tril(-1), persistent=False)
+
+    @property
+    def stiffness_diagonal(self) -> Tensor:
+        """The diagonal (..., n) of K, N m/rad, N m/rad, N/m a section."""
+        bending, axial = self.bending_stiffness, self.axial_stiffness
+        if bending.shape != axial.shape:
+            bending, axial = torch.broadcast_tensors(bending, axial)
+        return torch.stack((bending, bending, axial), dim=-1).flatten(-2)
+
+    @property
+    def damping_diagonal(self) -> Tensor:
+        """The diagonal (..., n) of D, N m s/rad, N m s/rad, N s/m a section."""
+        if self.own_damping is not None:
+            return self.own_damping
+        return self.damping_ratio.unsqueeze(-1) * self.stiffness_diagonal
 
     @property
     def stiffness(self) -> Tensor:

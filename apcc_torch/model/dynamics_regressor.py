@@ -12,7 +12,7 @@ Mdot - 2 C is skew-symmetric.
 from __future__ import annotations
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from apcc_torch.errors import ValueRangeError
 from apcc_torch.model.composite_inertia import assembled, composite
@@ -20,6 +20,7 @@ from apcc_torch.model.inertia import arm_shape, bending, moments, own_momentum, 
 from apcc_torch.model.loads import front
 from apcc_torch.model.tendons import TendonRouting
 from apcc_torch.model.velocity_accelerations import accelerations, generalized_force, rates
+from apcc_torch.part import Part, hold_rows
 from apcc_torch.settings import check_setting
 from apcc_torch.shapes import batch_shape, check_finite, check_same, check_tensor
 
@@ -31,7 +32,7 @@ mass that it has of the length.
 """
 
 
-class DynamicsRegressor(nn.Module):
+class DynamicsRegressor(Part):
     """Y_d of a hanging or standing arm of constant-curvature sections, for rest lengths given at every call.
 
     Args:
@@ -65,16 +66,22 @@ class DynamicsRegressor(nn.Module):
             raise ValueRangeError(f"n_quadrature must be at least 2, got {n_quadrature}")
         if not abs(gravity) < float("inf"):
             raise ValueRangeError(f"gravity must be finite, got {gravity}")
-        points, weights = quadrature_nodes(n_quadrature, torch.float64)
-        powers = torch.stack([points**k for k in range(1, 7)])
+        self.n_quadrature = n_quadrature
         self.routing = routing
         self.damping_ratio = check_setting("damping_ratio", damping_ratio, zero=True)
         self.gravity = gravity
-        self.register_buffer("base_rotation", base_rotation.clone())
-        self.register_buffer("powers", powers.to(base_rotation))
-        self.register_buffer("weights", weights.to(base_rotation))
+        hold_rows(self, base_rotation=(base_rotation, 2))
+        self.derive()
+
+    def derive(self) -> None:
+        """The mass points of a section."""
+        points, weights = quadrature_nodes(self.n_quadrature, torch.float64)
         # The last of the points is the section's tip, which has no weight of its own.
-        self.register_buffer("tip", torch.eye(len(weights))[-1].to(base_rotation))
+        tip = torch.zeros_like(points)
+        tip[-1] = 1.0
+        powers = torch.stack([points**k for k in range(1, 7)])
+        for name, value in {"powers": powers, "weights": weights, "tip": tip}.items():
+            self.register_buffer(name, value.to(self.base_rotation.detach()), persistent=False)
 
     def forward(
         self, q: Tensor, qdot: Tensor, v: Tensor, a: Tensor, L0: Tensor, q_elastic: Tensor | None = None

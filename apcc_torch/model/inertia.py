@@ -82,12 +82,13 @@ def quadrature_nodes(n: int, dtype: torch.dtype) -> tuple[Tensor, Tensor]:
     Returns:
         nodes (n + 1,) material fractions and weights (n + 1,) that sum to 1.
     """
-    # Golub-Welsch: the nodes are the eigenvalues of the Legendre recurrence's Jacobi matrix.
-    k = torch.arange(1, n, dtype=torch.float64)
+    # Golub-Welsch: the nodes are the eigenvalues of the Legendre recurrence's Jacobi matrix. On the CPU, whatever the
+    # default device is: it may be one without values.
+    k = torch.arange(1, n, dtype=torch.float64, device="cpu")
     off = k / torch.sqrt(4.0 * k * k - 1.0)
     values, vectors = torch.linalg.eigh(torch.diag(off, 1) + torch.diag(off, -1))
-    nodes = torch.cat((0.5 * (values + 1.0), torch.ones(1, dtype=torch.float64)))
-    weights = torch.cat((vectors[0] ** 2, torch.zeros(1, dtype=torch.float64)))
+    nodes = torch.cat((0.5 * (values + 1.0), torch.ones_like(k[:1])))
+    weights = torch.cat((vectors[0] ** 2, torch.zeros_like(k[:1])))
     return nodes.to(dtype), weights.to(dtype)
 
 

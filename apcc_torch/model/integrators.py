@@ -14,6 +14,7 @@ from torch import Tensor
 from apcc_torch.linalg import solve_spd
 from apcc_torch.model.dynamics import EquationOfMotion, SoftArmDynamics
 from apcc_torch.model.loads import Payload
+from apcc_torch.modes import full_precision
 
 Field = Callable[[Tensor, Tensor], Tensor]
 
@@ -128,6 +129,7 @@ def _solve(matrix: Tensor, rhs: Tensor) -> Tensor:
     return solve_spd(matrix, rhs.unsqueeze(-1)).squeeze(-1)
 
 
+@full_precision
 def semi_implicit_step(
     dynamics: SoftArmDynamics,
     state: ArmState,
@@ -159,6 +161,7 @@ def semi_implicit_step(
     return ArmState(state.q + dt * qdot, qdot)
 
 
+@full_precision
 def rosenbrock_step(
     dynamics: SoftArmDynamics,
     state: ArmState,

@@ -19,6 +19,7 @@ from apcc_torch.lie import se3
 from apcc_torch.model.abscissae import MaterialPoints, decouple, section_fractions
 from apcc_torch.model.coordinates import Coordinates
 from apcc_torch.model.tendons import TendonRouting
+from apcc_torch.modes import holds
 from apcc_torch.part import Part, hold_rows
 from apcc_torch.settings import Settings
 from apcc_torch.shapes import batch_shape, check_same, check_tensor
@@ -75,7 +76,7 @@ class KinematicModel(Part, ABC):
         check_tensor("base_rotation", base_rotation, (3, 3))
         rotation = base_rotation.detach().to(torch.float64)
         defect = (rotation @ rotation.mT - torch.eye(3, dtype=torch.float64, device=rotation.device)).abs().max()
-        if not (float(defect) < 1e-4 and float(torch.linalg.det(rotation)) > 0.0):
+        if not holds((defect < 1e-4) & (torch.linalg.det(rotation) > 0.0)):
             raise ValueRangeError("base_rotation must be a rotation matrix (orthonormal, determinant 1)")
         self.n_sections = n_sections
         self.coordinates = coordinates

@@ -11,6 +11,7 @@ from apcc_torch.errors import ConfigError
 from apcc_torch.model.dynamics import SoftArmDynamics
 from apcc_torch.model.loads import Loads, Payload
 from apcc_torch.model.tendons import TendonRouting
+from apcc_torch.modes import full_precision, none_left
 from apcc_torch.shapes import batch_shape, check_tensor
 
 NO_LOADS = Loads()
@@ -66,6 +67,7 @@ def load_stiffness(
     return load[0].detach(), rows.movedim(0, -2)
 
 
+@full_precision
 def equilibrium(
     dynamics: SoftArmDynamics,
     tau: Tensor | None = None,
@@ -191,7 +193,7 @@ def _newton(
     for _ in range(iterations):
         elastic = torch.sqrt((stiffness * unknown[..., :n] ** 2).sum(-1))
         running = ~(merit <= tolerance * elastic.clamp(min=1.0)) & torch.isfinite(merit)
-        if not bool(running.any()):
+        if none_left(running):
             break
         system = jacobian + torch.diag_embed(damping.unsqueeze(-1) * extra)
         step, _info = torch.linalg.solve_ex(system, -residual.unsqueeze(-1))

@@ -12,10 +12,11 @@ import torch
 from torch import Tensor, nn
 
 from apcc_torch.errors import ConfigError, ShapeError
+from apcc_torch.part import Part, hold_rows, refuse_parameter
 from apcc_torch.shapes import check_finite, check_positive, check_same, check_tensor
 
 
-class TendonRouting(nn.Module):
+class TendonRouting(Part):
     """Tendons parallel to the backbone, each fixed at its anchor's material abscissa.
 
     In the coupled layout a tendon runs from the arm's base to its anchor. In the independent layout it acts only from
@@ -38,7 +39,7 @@ class TendonRouting(nn.Module):
     angles: Tensor
     offsets: Tensor
     anchors: Tensor
-    starts: Tensor
+    own_starts: Tensor | None
 
     def __init__(
         self, angles: Tensor, offsets: Tensor, anchors: Tensor, layout: str = "coupled", starts: Tensor | None = None
@@ -50,21 +51,21 @@ class TendonRouting(nn.Module):
         n_a = angles.shape[-1]
         check_positive("offsets", check_tensor("offsets", offsets, (n_a,)))
         check_positive("anchors", check_tensor("anchors", anchors, (n_a,)))
-        if starts is None:
-            starts = torch.zeros_like(anchors)
-            if layout == "independent":
-                smaller = torch.where(anchors.unsqueeze(-2) < anchors.unsqueeze(-1), anchors.unsqueeze(-2), 0.0)
-                starts = smaller.amax(-1)
-        check_finite("starts", check_tensor("starts", starts, (n_a,)))
-        check_same(angles=angles, offsets=offsets, anchors=anchors, starts=starts)
+        if starts is None and not isinstance(anchors, nn.Parameter):
+            starts = _starts(anchors, layout)  # else they follow the anchors
+        if starts is not None:
+            check_finite("starts", check_tensor("starts", starts, (n_a,)))
+        check_same(angles=angles, offsets=offsets, anchors=anchors, starts=anchors if starts is None else starts)
         if angles.dim() != 1:
             raise ShapeError(f"angles must have shape ({n_a},), got {tuple(angles.shape)}")
         self.layout = layout
         self.n_tendons = n_a
-        self.register_buffer("angles", angles)
-        self.register_buffer("offsets", offsets)
-        self.register_buffer("anchors", anchors)
-        self.register_buffer("starts", starts)
+        hold_rows(self, angles=(angles, 1), offsets=(offsets, 1), anchors=(anchors, 1), own_starts=(starts, 1))
+
+    @property
+    def starts(self) -> Tensor:
+        """(n_a,) material abscissa where each tendon begins to act, m."""
+        return _starts(self.anchors, self.layout) if self.own_starts is None else self.own_starts
 
     def limits(self, pi_hat: Tensor) -> tuple[Tensor, Tensor]:
         """Where in each section each tendon begins and ends: normalised abscissae (..., n_b, n_a), those of Eq. (46).
@@ -120,6 +121,12 @@ class TendonRouting(nn.Module):
         return (self.matrix(pi_hat) @ u.unsqueeze(-1)).squeeze(-1)
 
 
+def _starts(anchors: Tensor, layout: str) -> Tensor:
+    if layout == "coupled":
+        return torch.zeros_like(anchors)
+    return torch.where(anchors.unsqueeze(-2) < anchors.unsqueeze(-1), anchors.unsqueeze(-2), 0.0).amax(-1)
+
+
 def full_rows(angles: Tensor, offsets: Tensor) -> Tensor:
     """Rows (..., 3, n_a) of B that a fully traversed section has on (dx, dy, dL), Eqs. (42)-(45) [Dalenberg].
 
@@ -148,6 +155,8 @@ def rack_routing(
         twist: Rotation of each rack relative to the preceding one, rad.
         layout: "coupled" or "independent"; see `TendonRouting`.
     """
+    refuse_parameter("racks", racks, "make a TendonRouting whose anchors are a Parameter")
+    refuse_parameter("offset", offset, "make a TendonRouting whose offsets are a Parameter")
     check_positive("racks", check_tensor("racks", racks, (None,)))
     dtype, device = racks.dtype, racks.device
     around = torch.arange(per_rack, dtype=dtype, device=device) * (2.0 * pi / per_rack)

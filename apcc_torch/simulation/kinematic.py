@@ -16,6 +16,7 @@ from apcc_torch.errors import ConfigError, ValueRangeError
 from apcc_torch.linalg import damped_pseudo_inverse
 from apcc_torch.model.abscissae import decouple
 from apcc_torch.model.kinematic_model import KinematicModel
+from apcc_torch.modes import holds
 from apcc_torch.native.compiled import compiled
 from apcc_torch.part import Part, hold_rows
 from apcc_torch.simulation.progress import Progress, quiet
@@ -68,7 +69,7 @@ def start_configuration(
         q = q + scaled_within(step, 0.3)
     miss = (backbone.tip(q, L0) - x).norm(dim=-1)
     tolerance = max(1e-6, 100 * torch.finfo(L0.dtype).eps)
-    if not bool((miss < tolerance).all()):
+    if not holds(miss < tolerance):
         raise ValueRangeError(f"the start position is out of reach: missed by {float(miss.max()):g} m")
     return q
 

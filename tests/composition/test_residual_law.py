@@ -9,7 +9,7 @@ import pytest
 from omegaconf import OmegaConf
 
 from apcc_torch.composition.build import Builder
-from apcc_torch.composition.conf_path import conf_path
+from apcc_torch.conf_path import conf_path
 from apcc_torch.control.length_bank import LengthBank
 from apcc_torch.control.residual_adaptation import ResidualLaw
 from apcc_torch.errors import ApccError, ConfigError

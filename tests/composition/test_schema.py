@@ -13,7 +13,6 @@ from hydra import compose, initialize_config_dir
 from hydra.errors import HydraException
 from omegaconf import OmegaConf
 
-from apcc_torch.composition.conf_path import conf_path
 from apcc_torch.composition.schema import (
     AdaptationConfig,
     ControllerConfig,
@@ -25,6 +24,7 @@ from apcc_torch.composition.schema import (
     SimulateConfig,
     VelocityFilterConfig,
 )
+from apcc_torch.conf_path import conf_path
 from apcc_torch.errors import ConfigError
 from apcc_torch.experiments.run import EXPERIMENTS
 from apcc_torch.sweeps.callback import planned

@@ -11,7 +11,7 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from omegaconf import OmegaConf
 
 from apcc_torch.composition.batch import Point
-from apcc_torch.composition.conf_path import conf_path
+from apcc_torch.conf_path import conf_path
 from apcc_torch.errors import ConfigError
 from apcc_torch.sweeps.batch_points import batch_points, with_batch
 from composed import composed
