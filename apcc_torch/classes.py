@@ -49,8 +49,8 @@ def class_named(key: str, name: str, base: type, trust: Trust = Trust.ANY) -> An
         raise ConfigError(f"{key} must be a class, as package.module.Class, got {name!r}: {error}") from error
     if not (isinstance(named, type) and issubclass(named, base)):
         raise ConfigError(f"{key} must be a {base.__name__}, got {name!r}")
-    if isabstract(named):
-        lacking = ", ".join(sorted(named.__abstractmethods__))
+    if isabstract(named):  # a driver, most likely, that is not whole yet
+        lacking = ", ".join(sorted(getattr(named, "__abstractmethods__", ())))
         raise ConfigError(f"{key} must be a class that is complete, and {name} lacks {lacking}")
     return named
 
