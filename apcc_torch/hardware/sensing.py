@@ -39,7 +39,7 @@ class SensingSettings(Settings):
         "a frame that lacks a body: skip waits for a whole one, mask steps on the others",
         choices=("skip", "mask"),
     )
-    gate: SensorGateSettings = setting(unit="", source=OURS, meaning="which bodies to believe", factory=GATE)
+    gate: SensorGateSettings = setting(factory=GATE, meaning="which bodies to believe")
 
 
 @dataclass(frozen=True)

@@ -26,7 +26,7 @@ MAX_WATCHDOG_TICKS = 127
 class GripperSettings(Settings):
     """A gripper's motor on the same bus. It turns less than once, so its encoder's own zero is enough."""
 
-    id: int = setting(unit="", source=OURS, meaning="on the bus", least=0, most=MAX_ID)
+    id: int = setting(meaning="on the bus", least=0, most=MAX_ID)
     open_angle: float = setting(1.0, "rad", OURS, "of its encoder", least=0, below=2 * pi)
     closed_angle: float = setting(2.0, "rad", OURS, "of its encoder", least=0, below=2 * pi)
     current_limit: float = setting(0.3, "A", OURS, "the grip", above=0, most=MAX_CURRENT)
@@ -46,7 +46,7 @@ class GripperSettings(Settings):
 class DynamixelSettings(Settings):
     """Motors, spools and limits. A tendon's entry is at the same place in every list, that of the model's tendons."""
 
-    port: str = setting(unit="", source=OURS, meaning="serial device, by a name that stays (/dev/serial/by-id/...)")
+    port: str = setting(meaning="serial device, by a name that stays (/dev/serial/by-id/...)")
     ids: tuple[int, ...] = setting(
         unit="", source=OURS, meaning="on the bus, a motor each tendon", least=0, most=MAX_ID
     )
