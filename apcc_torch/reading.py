@@ -8,6 +8,8 @@ from dataclasses import MISSING, Field, is_dataclass
 from types import UnionType
 from typing import Any, TypeVar, Union, cast
 
+from torch import Tensor
+
 from apcc_torch.classes import Trust, class_named, name_of
 from apcc_torch.errors import ApccError, ConfigError
 from apcc_torch.part import part_of
@@ -130,7 +132,18 @@ def plain(settings: Any) -> Any:
         return {name: plain(value) for name, value in settings.items()}
     if isinstance(settings, list | tuple):
         return [plain(value) for value in settings]
-    return settings
+    return settings.tolist() if isinstance(settings, Tensor) else settings
+
+
+def deviations(settings: Settings) -> dict[str, Any]:
+    """Settings that differ from their defaults, as plain values that `read` takes."""
+    values = {}
+    for each in keys(type(settings)):
+        value, default = getattr(settings, each.name), default_of(each)
+        if isinstance(value, Tensor) or value != default:
+            nested = isinstance(value, Settings) and about_of(each).base is None
+            values[each.name] = deviations(value) if nested else plain(value)
+    return values
 
 
 def defaults(root: type[Settings]) -> dict[str, Any]:
