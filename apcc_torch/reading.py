@@ -5,6 +5,7 @@ from __future__ import annotations
 import typing
 from collections.abc import Mapping, Sequence
 from dataclasses import MISSING, Field, is_dataclass
+from functools import cache
 from types import UnionType
 from typing import Any, TypeVar, Union, cast
 
@@ -161,6 +162,7 @@ def defaults(root: type[Settings]) -> dict[str, Any]:
     return values
 
 
+@cache
 def _types(root: type[Settings]) -> dict[str, Any]:
     return typing.get_type_hints(root)
 
