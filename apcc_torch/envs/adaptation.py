@@ -111,7 +111,7 @@ class AdaptiveLoop(nn.Module):
             "feedback.abscissae": ends,
         }
         if self.routed:
-            gains["routing.anchors"] = ends.repeat_interleave(self.per_rack, dim=-1).unsqueeze(-2)
+            gains["routing.anchors"] = ends.repeat_interleave(self.per_rack, dim=-1)
         upright = torch.eye(4, dtype=seen.dtype, device=seen.device)[:, :3].expand(*seen.shape[:-1], 4, 3)
         place = torch.nn.functional.pad(seen, (0, 1), value=1.0)
         T = torch.cat((upright, place.unsqueeze(-1)), dim=-1)  # orientations are not used
