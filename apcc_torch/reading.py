@@ -175,8 +175,13 @@ def defaults(root: type[Settings]) -> dict[str, Any]:
     return values
 
 
+_TYPES: dict[Any, dict[str, Any]] = {}
+
+
 def _types(root: type[Settings]) -> dict[str, Any]:
-    return typing.get_type_hints(root)
+    if root not in _TYPES:
+        _TYPES[root] = typing.get_type_hints(root)
+    return _TYPES[root]
 
 
 def _join(key: str, name: str) -> str:

@@ -20,8 +20,8 @@ from hydra import compose, initialize_config_dir
 from hydra.core.config_store import ConfigStore
 
 from apcc_torch.composition.build_realtime import RealtimeBuilder
-from apcc_torch.conf_path import conf_path
 from apcc_torch.composition.realtime import RealtimeSettings, composed, schema
+from apcc_torch.conf_path import conf_path
 from apcc_torch.files import write_json
 from apcc_torch.hardware.log import RunLog
 from apcc_torch.hardware.realtime import freeze, realtime

@@ -21,6 +21,7 @@ from typing import Any
 
 import pytest
 import torch
+from apcc_torch.composition.typed import typed
 from hydra import compose, initialize_config_dir
 from hydra.core.config_store import ConfigStore
 from hydra.core.override_parser.overrides_parser import OverridesParser
@@ -28,9 +29,8 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 import apcc_torch
 from apcc_torch import benchmark
 from apcc_torch.composition.benchmark import BenchmarkConfig
-from apcc_torch.conf_path import conf_path
 from apcc_torch.composition.identify import IdentifyConfig
-from apcc_torch.composition.typed import typed
+from apcc_torch.conf_path import conf_path
 from composed import composed, composed_realtime
 from doc_pages import PAGES, ROOT, Block, Command, commands, keys, name_of, python_blocks
 

@@ -11,8 +11,8 @@ from hydra import compose, initialize_config_dir
 from hydra.core.config_store import ConfigStore
 from omegaconf import OmegaConf
 
-from apcc_torch.conf_path import conf_path
 from apcc_torch.composition.identify import IdentifySettings, known_arm, parameters, recorded
+from apcc_torch.conf_path import conf_path
 from apcc_torch.errors import ConfigError, DataError
 from apcc_torch.identification.series import Series
 from apcc_torch.reading import defaults, read

@@ -16,8 +16,8 @@ from hydra.core.config_store import ConfigStore
 from omegaconf import OmegaConf
 
 from apcc_torch.composition import identify as composition
-from apcc_torch.conf_path import conf_path
 from apcc_torch.composition.identify import IdentifySettings
+from apcc_torch.conf_path import conf_path
 from apcc_torch.experiments.identification import Task, compare, error, identified
 from apcc_torch.identification.split import split, thinned
 from apcc_torch.identification.tendon_arm import TendonArm

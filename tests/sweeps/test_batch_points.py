@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import pytest
+from apcc_torch.composition.batch import Point
 from hydra import compose, initialize_config_dir
 from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from omegaconf import OmegaConf
 
-from apcc_torch.composition.batch import Point
 from apcc_torch.conf_path import conf_path
 from apcc_torch.errors import ConfigError
 from apcc_torch.sweeps.batch_points import batch_points, with_batch
