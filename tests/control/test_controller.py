@@ -146,7 +146,7 @@ class LeakSettings(Settings):
 
 
 class Visits(NamedTuple):
-    count: Tensor
+    steps: Tensor
 
 
 class Leak(LengthLaw):
@@ -165,7 +165,7 @@ class Leak(LengthLaw):
         return Visits(torch.zeros_like(pi_hat[..., 0]))
 
     def speed(self, step: LawStep, memory: Visits) -> tuple[Tensor, Visits]:
-        return (self.nominal - step.pi_hat) / aligned(self.time, 1), Visits(memory.count + 1)
+        return (self.nominal - step.pi_hat) / aligned(self.time, 1), Visits(memory.steps + 1)
 
 
 def test_the_speeds_of_laws_add_up_and_the_bounds_hold_for_their_sum() -> None:
@@ -186,7 +186,7 @@ def test_the_speeds_of_laws_add_up_and_the_bounds_hold_for_their_sum() -> None:
     torch.testing.assert_close(later.pi_hat, bounds(moved, torch.diag(gamma)), rtol=0, atol=1e-12)
     assert float((later.pi_hat - bounds(moved)).abs().max()) > 1e-4
     later, _ = both(later, Measurement(T, stamp(0.08)), target)
-    assert later.memories[0].count.tolist() == [2.0, 2.0, 2.0] and later.memories[1] is None
+    assert later.memories[0].steps.tolist() == [2.0, 2.0, 2.0] and later.memories[1] is None
 
 
 def test_without_a_law_nothing_adapts() -> None:
