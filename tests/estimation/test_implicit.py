@@ -191,5 +191,5 @@ def test_functional_gradients_and_single_precision() -> None:
 
 
 def test_an_unknown_gradient_is_refused() -> None:
-    with pytest.raises(ValueRangeError, match="gradient must be one of implicit, unrolled"):
+    with pytest.raises(ConfigError, match="gradient must be one of implicit, unrolled"):
         StateFeedback(PCCBackbone(3, HANGING_BASE), FOUR, gradient="exact")
