@@ -49,7 +49,7 @@ def kinematic(adaptive: bool = False, tendons: bool = True, **feedback: int) -> 
         backbone,
         StateFeedback(backbone, RACKS, "pose", angular_weight=0.1, **feedback),
         SavitzkyGolay(window=5, order=2),
-        InverseKinematics(1.8),
+        InverseKinematics(1.8, null_gain=0.05),
         AdaptiveLaw(3, 0.5, rate=0.1),
         bounds=LengthBounds(PI, lower=0.75, upper=1.25, reach="free"),
         routing=ROUTING if tendons else None,

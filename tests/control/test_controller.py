@@ -46,7 +46,7 @@ def controller(
         backbone,
         StateFeedback(backbone, abscissae, mode, **(feedback or {})),
         SavitzkyGolay(window=5, order=2),
-        InverseKinematics(K=1.5),
+        InverseKinematics(K=1.5, null_gain=0.05),
         **{"laws": AdaptiveLaw(3, 0.5, regressor), "routing": routing, **settings},
     )
 

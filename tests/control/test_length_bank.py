@@ -241,7 +241,7 @@ def test_a_bad_row_stays_alone_and_waits() -> None:
 
 def test_in_the_controller_the_bounds_hold() -> None:
     bounds = LengthBounds(PI, reach="free", lower=0.9, upper=None)
-    parts = SavitzkyGolay(5, 2), InverseKinematics(1.0), bank()
+    parts = SavitzkyGolay(5, 2), InverseKinematics(1.0, null_gain=0.05), bank()
     controller = APCCController(BACKBONE, FEEDBACK, *parts, bounds=bounds)
     T, target = measured(BENT, models()[1]), Target(torch.tensor([0.1, 0.1, -0.5], dtype=D), 0 * PI)
     state = controller.initial_state(BENT, PI)

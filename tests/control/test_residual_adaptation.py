@@ -152,7 +152,7 @@ def test_a_bad_row_stays_alone_and_keeps_its_lengths() -> None:
 def test_in_the_controller_it_joins_the_law_of_the_task_error(memory: float) -> None:
     def controller(*laws: LengthLaw) -> APCCController:
         bounds = LengthBounds(PI_HAT, reach="free", lower=None, upper=1.0)
-        parts = SavitzkyGolay(5, 2), InverseKinematics(1.0), laws
+        parts = SavitzkyGolay(5, 2), InverseKinematics(1.0, null_gain=0.05), laws
         return APCCController(BACKBONE, estimator(), *parts, bounds=bounds)
 
     T = measured(BENT)

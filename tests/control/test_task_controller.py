@@ -157,7 +157,7 @@ def test_what_the_tendons_do_not_move_is_not_commanded() -> None:
         arm,
         StateFeedback(arm, SENSORS),
         SavitzkyGolay(window=9, order=2),
-        InverseKinematics(coordinates=arm.coordinates),
+        InverseKinematics(null_gain=0.05, coordinates=arm.coordinates),
         AdaptiveLaw(3, 1.0),
         tasks=[Task("orientation")],
         clearance=cost,

@@ -9,7 +9,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from apcc_torch.errors import GradientError, ValueRangeError
+from apcc_torch.errors import ConfigError, GradientError
 from apcc_torch.estimation.feedback import Feedback, FeedbackStatus
 from apcc_torch.estimation.state_feedback import StateFeedback
 from apcc_torch.lie import se3

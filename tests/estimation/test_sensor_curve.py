@@ -8,7 +8,7 @@ from hypothesis import given
 from scipy.interpolate import CubicSpline
 from torch import Tensor
 
-from apcc_torch.errors import ApccError, ShapeError, ValueRangeError
+from apcc_torch.errors import ApccError, ConfigError, ShapeError, ValueRangeError
 from apcc_torch.estimation.sensor_curve import SensorCurve
 from apcc_torch.model.abscissae import decouple
 from apcc_torch.model.backbone import PCCBackbone

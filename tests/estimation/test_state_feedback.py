@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 from torch.func import jacfwd
 
-from apcc_torch.errors import DtypeError, ShapeError, ValueRangeError
+from apcc_torch.errors import ApccError, ConfigError, DtypeError, ShapeError, ValueRangeError
 from apcc_torch.estimation.feedback import Feedback, FeedbackStatus
 from apcc_torch.estimation.state_feedback import StateFeedback
 from apcc_torch.lie import se3, so3
@@ -429,7 +429,7 @@ def test_refusals() -> None:
         StateFeedback(backbone, X, "poses")
     for name in ("angular_weight", "max_iterations", "linear_threshold", "angular_threshold", "bend_step", "damping"):
         for value in (0, -1.0, float("nan"), float("inf")):
-            with pytest.raises(ValueRangeError, match=name):
+            with pytest.raises(ApccError, match=f"^{name} must be"):
                 StateFeedback(backbone, X, **{name: value})
     with pytest.raises(ValueRangeError, match="min_iterations"):
         StateFeedback(backbone, X, max_iterations=3, min_iterations=4)

@@ -88,7 +88,12 @@ def feedback(backbone: PCCBackbone, mode: str = "pose", **settings: float) -> St
 def controller(backbone: PCCBackbone, adaptive: bool = True) -> APCCController:
     law = AdaptiveLaw(3, 0.5)
     return APCCController(
-        backbone, feedback(backbone), SavitzkyGolay(7, 2), InverseKinematics(2.0), law, adaptive=adaptive
+        backbone,
+        feedback(backbone),
+        SavitzkyGolay(7, 2),
+        InverseKinematics(2.0, null_gain=0.05),
+        law,
+        adaptive=adaptive,
     )
 
 
