@@ -75,12 +75,28 @@ def batch_points(cfg: DictConfig, overrides: Sequence[str], config_name: str) ->
         config_name: The root configuration.
 
     Raises:
-        ConfigError: An override has no meaning, or a point's settings are missing or of the wrong type.
+        ConfigError, ValueRangeError: An override or a point's settings have no meaning.
     """
-    axes = [_choices(cfg, override) for override in _parsed(cfg.batch)]
-    if not axes:
+    swept = _parsed(cfg.batch)
+    if not swept:
         raise ConfigError("batch must hold at least one sweep, such as adaptation.gamma=10,20,40")
     ours = [override for override in overrides if override.partition("=")[0].lstrip("+") != "batch"]
+    return points_of(cfg, ours, config_name, swept)
+
+
+def points_of(cfg: DictConfig, ours: Sequence[str], config_name: str, swept: Iterable[Override]) -> list[Point]:
+    """The points of sweeps, as `batch_points`.
+
+    Args:
+        cfg: What hydra composed.
+        ours: The command line that it composed it from, without the sweeps.
+        config_name: The root configuration.
+        swept: The sweeps.
+
+    Raises:
+        ConfigError, ValueRangeError: An override or a point's settings have no meaning.
+    """
+    axes = [_choices(cfg, override) for override in swept]
     bases: dict[tuple[str, ...], _Base] = {}
     points = []
     for index, chosen in enumerate(itertools.product(*axes)):
