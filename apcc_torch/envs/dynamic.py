@@ -67,7 +67,7 @@ class _Moves(nn.Module):
 
 
 class _AtRest(nn.Module):
-    """The force (N, n) of gravity on the plant, and its stiffness (N, n), for `functional_call` likewise."""
+    """Gravity's generalized force (N, n) on the plant, and its stiffness (N, n), for `functional_call` likewise."""
 
     def __init__(self, plant: Plant) -> None:
         super().__init__()

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import fields
-from typing import Any, Protocol, Self
+from typing import Any, Protocol, Self, cast
 
 import torch
 from torch import Tensor
@@ -91,7 +91,7 @@ class KinematicModel(Part, ABC):
     def on(cls, n_sections: int, base_rotation: Tensor, settings: Settings) -> Self:
         """The model of so many sections on a base, with the settings of its class, if that has any."""
         own: Any = [settings] if fields(settings) else []
-        return cls(n_sections, base_rotation, *own)
+        return cast(Any, cls)(n_sections, base_rotation, *own)
 
     @property
     @abstractmethod

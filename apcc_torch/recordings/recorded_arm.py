@@ -8,7 +8,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from apcc_torch.estimation.rest_calibration import Calibration
+from apcc_torch.estimation.rest_calibration import RestCalibration
 from apcc_torch.estimation.sensor_gate import GateState, GateVerdict, SensorGate
 from apcc_torch.estimation.state_feedback import StateFeedback
 from apcc_torch.model.backbone import PCCBackbone
@@ -26,7 +26,7 @@ where the sections' delta L cease to follow their bends: with the base above the
 class RecordedArm(NamedTuple):
     """What a recording needs to be replayed."""
 
-    calibration: Calibration
+    calibration: RestCalibration
     feedback: StateFeedback
     gate: SensorGate
 
@@ -43,8 +43,7 @@ def recorded_arm(
 
     One section ends at each body, so rest lengths are the spacing of the bodies at rest. The estimator settles at
     1e-5 (rad, m), far below what a camera resolves, and may take 12 steps: real bodies are never fitted to the
-    thresholds, so every frame runs until it settles. The gate's limits are its own defaults with a reach of 1.5 times
-    each body's abscissa.
+    thresholds, so every frame runs until it settles. The gate's limits are its own defaults.
 
     Args:
         recording: The recording.
@@ -71,7 +70,7 @@ def recorded_arm(
     feedback = StateFeedback(
         PCCBackbone(len(abscissae)), abscissae, mode, angular_weight, max_iterations=12, settled_step=1e-5
     )
-    return RecordedArm(calibration, feedback, SensorGate(len(abscissae), max_reach=(1.5 * abscissae).tolist()))
+    return RecordedArm(calibration, feedback, SensorGate(abscissae))
 
 
 def gate_frames(gate: SensorGate, T: Tensor, tracked: Tensor, times: Tensor) -> tuple[Tensor, GateVerdict]:

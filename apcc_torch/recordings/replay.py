@@ -11,7 +11,7 @@ from apcc_torch.control.controller import APCCController
 from apcc_torch.control.step_io import Measurement, Target
 from apcc_torch.errors import ConfigError, DataError, ShapeError, ValueRangeError
 from apcc_torch.estimation.feedback import Feedback
-from apcc_torch.estimation.rest_calibration import Calibration
+from apcc_torch.estimation.rest_calibration import RestCalibration
 from apcc_torch.estimation.savitzky_golay import SavitzkyGolay, SavitzkyGolayState
 from apcc_torch.estimation.sensor_gate import GateVerdict, SensorGate
 from apcc_torch.estimation.state_feedback import StateFeedback
@@ -40,7 +40,7 @@ class _Frames(NamedTuple):
 
 def _frames(
     recording: Recording,
-    calibration: Calibration,
+    calibration: RestCalibration,
     feedback: StateFeedback,
     gate: SensorGate,
     frames: slice,
@@ -73,7 +73,7 @@ def _frames(
 
 def replay(
     recording: Recording,
-    calibration: Calibration,
+    calibration: RestCalibration,
     estimator: StateFeedback | APCCController,
     gate: SensorGate,
     pi_hat: Tensor | None = None,
@@ -201,11 +201,11 @@ def _sweep(
 def _derivative(smooth: SavitzkyGolay, q_bar: Tensor, time: Tensor) -> Tensor:
     """What the filter would have returned frame by frame, (N, ..., n)."""
     first = smooth.initial_state(q_bar[0], time[0])
-    samples = torch.cat((first.samples.movedim(-2, 0)[1:], q_bar)).unfold(0, smooth.window, 1)  # (N, ..., n, window)
-    missing = torch.zeros(smooth.window - 1, dtype=torch.bool, device=time.device)
-    stamps = torch.cat((time[:1].expand(smooth.window - 1), time)).unfold(0, smooth.window, 1)
-    valid = torch.cat((missing, torch.ones_like(time, dtype=torch.bool))).unfold(0, smooth.window, 1)
-    per_frame = (len(time), *[1] * (q_bar.dim() - 2), smooth.window)
+    samples = torch.cat((first.samples.movedim(-2, 0)[1:], q_bar)).unfold(0, smooth.length, 1)  # (N, ..., n, window)
+    missing = torch.zeros(smooth.length - 1, dtype=torch.bool, device=time.device)
+    stamps = torch.cat((time[:1].expand(smooth.length - 1), time)).unfold(0, smooth.length, 1)
+    valid = torch.cat((missing, torch.ones_like(time, dtype=torch.bool))).unfold(0, smooth.length, 1)
+    per_frame = (len(time), *[1] * (q_bar.dim() - 2), smooth.length)
     state = SavitzkyGolayState(samples.mT, stamps.reshape(per_frame), valid.reshape(per_frame))
     return smooth.evaluate(state).derivative
 
@@ -213,7 +213,7 @@ def _derivative(smooth: SavitzkyGolay, q_bar: Tensor, time: Tensor) -> Tensor:
 def _target(
     position: Tensor,
     recording: Recording,
-    calibration: Calibration,
+    calibration: RestCalibration,
     backbone: KinematicModel,
     frames: slice,
     like: Tensor,
@@ -253,7 +253,7 @@ def _run(
 
 def held_out_error(
     recording: Recording,
-    calibration: Calibration,
+    calibration: RestCalibration,
     feedback: StateFeedback,
     gate: SensorGate,
     frames: slice = slice(None),
