@@ -62,6 +62,6 @@ def full_precision(function: Callable[P, R]) -> Callable[P, R]:
             return function(*args, **keywords)
 
     # A code of its own: `torch.compile` keeps what it has compiled with the code, so much and no more of each.
-    code = exact.__code__  # type: ignore[attr-defined]
-    exact.__code__ = code.replace(co_name=function.__name__, co_qualname=function.__qualname__)  # type: ignore[attr-defined]
+    name, qualname = function.__name__, function.__qualname__
+    exact.__code__ = exact.__code__.replace(co_name=name, co_qualname=qualname)  # type: ignore[attr-defined]
     return exact

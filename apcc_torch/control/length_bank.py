@@ -150,7 +150,8 @@ class LengthBank(LengthLaw):
         self.feedback = feedback
         self.curve = curve_of(feedback, s)
         self.hold(s)
-        models = candidates(nominal, lists_of(s.shares, nominal.shape[-1] - 1), feedback.abscissae)
+        with nominal.device:  # where numbers become tensors
+            models = candidates(nominal, lists_of(s.shares, nominal.shape[-1] - 1), feedback.abscissae)
         hold_rows(self, nominal=(nominal, 1), candidates=(models, 2))
 
     def _hold_one(self, name: str, value: Any, trailing: int) -> None:

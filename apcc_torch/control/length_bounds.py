@@ -68,10 +68,11 @@ class LengthBounds(Part):
             refuse_parameter(name, value, "bounds in metres are made of it once; hand in a plain tensor")
         check_finite("nominal", check_tensor("nominal", nominal, (None,)))
         n_b = nominal.shape[-1]
-        least, largest = (
-            None if share is None else spread(name, share, n_b).to(nominal) * nominal
-            for name, share in {"lower": s.lower, "upper": s.upper}.items()
-        )
+        with nominal.device:  # where numbers become tensors
+            least, largest = (
+                None if share is None else spread(name, share, n_b).to(nominal) * nominal
+                for name, share in {"lower": s.lower, "upper": s.upper}.items()
+            )
         if least is not None and largest is not None and not holds(least < largest):
             raise ValueRangeError(f"lower must be below upper for every section, got {s.lower} and {s.upper}")
         hold_rows(self, least=(least, 1), largest=(largest, 1), ends=(_ends(s.reach, abscissae, n_b), 1))

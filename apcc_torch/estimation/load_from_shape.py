@@ -167,9 +167,9 @@ class HeldShape(Part):
         final = found._replace(value=torch.where(known, load, torch.nan), status=status)
         return HeldShapeEstimate(final, rest.q, rest.u, rest.converged & small)
 
-    def _per_newton(self) -> float:
+    def _per_newton(self) -> float | Tensor:
         """What a unit of the unknown weighs, N."""
-        return float(self.dynamics.gravity_acceleration.max()) if self.unknown == "payload" else 1.0
+        return self.dynamics.gravity_acceleration.max() if self.unknown == "payload" else 1.0
 
     def _loads(self, load: Tensor) -> tuple[Tensor | None, Loads]:
         if self.unknown == "payload":
@@ -205,7 +205,7 @@ class HeldShape(Part):
             variances.append(aligned(self.tension_noise, 1) ** 2 * torch.ones_like(rest.u))
         slide = aligned(self.length_noise, 2) * torch.cat(by_y, dim=-2)
         S = torch.diag_embed(torch.cat(variances, dim=-1)) + slide @ slide.mT
-        limit = torch.full((load.shape[-1],), self.limit / self._per_newton(), dtype=load.dtype, device=load.device)
+        limit = torch.full_like(load[(0,) * (load.dim() - 1)], self.limit) / self._per_newton()
         return weighted_estimate(torch.cat(residuals, dim=-1), torch.cat(by_load, dim=-2), S, limit)
 
     def _sensitivity(self, q: Tensor, load: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:

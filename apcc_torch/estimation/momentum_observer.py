@@ -125,8 +125,8 @@ class MomentumObserver(Part):
         J = self.backbone.tip_jacobian(q, self.dynamics.lengths)
         if payload:
             weight = -self.dynamics.gravity_acceleration * torch.ones_like(q[..., 0])
-            columns, unit = weight[..., None, None] * J[..., 2:, :].mT, float(self.dynamics.gravity_acceleration.max())
+            columns, unit = weight[..., None, None] * J[..., 2:, :].mT, self.dynamics.gravity_acceleration.max()
         else:
-            columns, unit = J.mT, 1.0
-        limit = torch.full((columns.shape[-1],), self.limit / unit, dtype=q.dtype, device=q.device)
+            columns, unit = J.mT, torch.ones_like(J[(0,) * J.dim()])
+        limit = (self.limit / unit).expand(columns.shape[-1])
         return weighted_estimate(state.r, columns, covariance, limit)

@@ -9,7 +9,7 @@ from __future__ import annotations
 from math import pi
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from apcc_torch.errors import ConfigError, ShapeError
 from apcc_torch.part import Part, hold_rows, refuse_parameter
@@ -44,7 +44,7 @@ class TendonRouting(Part):
     angles: Tensor
     offsets: Tensor
     anchors: Tensor
-    own_starts: Tensor | None
+    starts: Tensor
 
     def __init__(
         self, angles: Tensor, offsets: Tensor, anchors: Tensor, layout: str = "coupled", starts: Tensor | None = None
@@ -56,21 +56,19 @@ class TendonRouting(Part):
         n_a = angles.shape[-1]
         check_positive("offsets", check_tensor("offsets", offsets, (n_a,)))
         check_positive("anchors", check_tensor("anchors", anchors, (n_a,)))
-        if starts is None and not isinstance(anchors, nn.Parameter):
-            starts = _starts(anchors, layout)  # else they follow the anchors
-        if starts is not None:
-            check_finite("starts", check_tensor("starts", starts, (n_a,)))
-        check_same(angles=angles, offsets=offsets, anchors=anchors, starts=anchors if starts is None else starts)
+        if starts is None:
+            starts = torch.zeros_like(anchors)
+            if layout == "independent":
+                refuse_parameter("anchors", anchors, "the starts are made of them once; hand in starts too")
+                smaller = torch.where(anchors.unsqueeze(-2) < anchors.unsqueeze(-1), anchors.unsqueeze(-2), 0.0)
+                starts = smaller.amax(-1)
+        check_finite("starts", check_tensor("starts", starts, (n_a,)))
+        check_same(angles=angles, offsets=offsets, anchors=anchors, starts=starts)
         if angles.dim() != 1:
             raise ShapeError(f"angles must have shape ({n_a},), got {tuple(angles.shape)}")
         self.layout = layout
         self.n_tendons = n_a
-        hold_rows(self, angles=(angles, 1), offsets=(offsets, 1), anchors=(anchors, 1), own_starts=(starts, 1))
-
-    @property
-    def starts(self) -> Tensor:
-        """(n_a,) material abscissa where each tendon begins to act, m."""
-        return _starts(self.anchors, self.layout) if self.own_starts is None else self.own_starts
+        hold_rows(self, angles=(angles, 1), offsets=(offsets, 1), anchors=(anchors, 1), starts=(starts, 1))
 
     def limits(self, pi_hat: Tensor) -> tuple[Tensor, Tensor]:
         """Where in each section each tendon begins and ends: normalised abscissae (..., n_b, n_a), those of Eq. (46).
@@ -124,12 +122,6 @@ class TendonRouting(Part):
         check_tensor("u", u, (self.n_tendons,))
         check_same(u=u, pi_hat=pi_hat)
         return (self.matrix(pi_hat) @ u.unsqueeze(-1)).squeeze(-1)
-
-
-def _starts(anchors: Tensor, layout: str) -> Tensor:
-    if layout == "coupled":
-        return torch.zeros_like(anchors)
-    return torch.where(anchors.unsqueeze(-2) < anchors.unsqueeze(-1), anchors.unsqueeze(-2), 0.0).amax(-1)
 
 
 def full_rows(angles: Tensor, offsets: Tensor) -> Tensor:
