@@ -10,7 +10,7 @@ from apcc_torch.estimation.feedback_covariance import feedback_covariance
 from apcc_torch.estimation.load_from_shape import HeldShape, ShapeNoise
 from apcc_torch.estimation.momentum_observer import MomentumObserver
 from apcc_torch.estimation.pose_filter import PoseFilter, PoseFilterSettings
-from apcc_torch.estimation.rest_calibration import Calibration
+from apcc_torch.estimation.rest_calibration import RestCalibration
 from apcc_torch.estimation.savitzky_golay import SavitzkyGolay, SavitzkyGolaySettings
 from apcc_torch.estimation.sensor_curve import SensorCurve, SensorCurveSettings
 from apcc_torch.estimation.sensor_gate import Reason, SensorGate, gate_recording
@@ -20,7 +20,6 @@ from apcc_torch.estimation.weighted_estimate import EstimateStatus, weighted_est
 
 __all__ = [
     "BalanceNoise",
-    "Calibration",
     "ContactSearch",
     "EstimateStatus",
     "Feedback",
@@ -32,6 +31,7 @@ __all__ = [
     "PoseFilterSettings",
     "Posture",
     "Reason",
+    "RestCalibration",
     "SavitzkyGolay",
     "SavitzkyGolaySettings",
     "SensorCurve",
