@@ -16,6 +16,7 @@ from apcc_torch.estimation.savitzky_golay import SavitzkyGolay
 from apcc_torch.estimation.state_feedback import StateFeedback
 from apcc_torch.model.abscissae import decouple
 from apcc_torch.model.affine import AffineBackbone
+from apcc_torch.model.arm import Arm
 from apcc_torch.model.backbone import PCCBackbone
 from apcc_torch.model.constant_strain import ConstantStrainBackbone
 from apcc_torch.model.dynamics import SoftArmDynamics
@@ -30,6 +31,7 @@ __all__ = [
     "AdaptiveLaw",
     "AffineBackbone",
     "ApccError",
+    "Arm",
     "Command",
     "ConstantStrainBackbone",
     "ControllerState",

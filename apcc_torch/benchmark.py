@@ -17,10 +17,12 @@ from hydra.errors import HydraException
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
+from apcc_torch.composition.arm_file import arm_override
 from apcc_torch.composition.benchmark import BenchmarkSettings, PairSettings
-from apcc_torch.composition.conf_path import conf_path
+from apcc_torch.composition.help import describe
 from apcc_torch.composition.run_settings import SimulateSettings
-from apcc_torch.composition.schema import schema, typed
+from apcc_torch.composition.schema import check_words, schema, typed
+from apcc_torch.conf_path import conf_path
 from apcc_torch.errors import ApccError, ConfigError
 from apcc_torch.files import write_atomically
 from apcc_torch.paper import benchmark_run as paper
@@ -30,6 +32,7 @@ log = logging.getLogger("apcc_torch.benchmark")
 
 ConfigStore.instance().store(name="benchmark_schema", node=schema(BenchmarkSettings))
 ConfigStore.instance().store(name="simulate_schema", node=schema(SimulateSettings))  # of the experiments it composes
+describe("benchmark", BenchmarkSettings)
 
 
 def experiment(name: str, overrides: list[str]) -> SimulateSettings:
@@ -39,7 +42,7 @@ def experiment(name: str, overrides: list[str]) -> SimulateSettings:
         ConfigError: There is no such experiment, key or choice, or a value has the wrong type.
     """
     try:
-        return typed(compose("simulate", [f"experiment={name}", *overrides]), SimulateSettings)
+        return typed(compose("simulate", [f"experiment={name}", *arm_override(overrides)]), SimulateSettings)
     except (HydraException, OmegaConfBaseException) as error:
         changed = f" with {', '.join(overrides)}" if overrides else ""
         raise ConfigError(f"experiment {name}{changed}: {str(error).splitlines()[0]}") from error
@@ -100,6 +103,10 @@ def _hydra_main(cfg: DictConfig) -> None:
 
 def main() -> None:
     """Console entry point."""
+    try:
+        check_words(sys.argv[1:], BenchmarkSettings)
+    except ApccError as error:
+        sys.exit(f"apcc_torch.benchmark: {error}")
     _hydra_main()
 
 

@@ -1,4 +1,4 @@
-"""Small symmetric positive definite systems, in one place so that they can be made fast in one place."""
+"""Small symmetric positive definite systems: every solve and factor of the toolkit goes through here."""
 
 from __future__ import annotations
 

@@ -25,7 +25,29 @@ _BOOKKEEPING = frozenset({*vars(nn.Module()), "trailing_dimensions"})
 torch.serialization.add_safe_globals([nn.ModuleList])
 
 
-class Part(nn.Module):
+class Configurable:
+    """Base of every class with settings of its own, so that a setting may name it by its `kind`.
+
+    A subclass names their class as `settings_type`; one that names none has those of its base.
+    """
+
+    settings_type: ClassVar[type[Settings]] = Settings
+
+    def __init_subclass__(cls, **keywords: Any) -> None:
+        super().__init_subclass__(**keywords)
+        if "settings_type" not in cls.__dict__:
+            # Settings say of which part they are, so a part that inherits them has its own.
+            base = cls.settings_type
+            name = f"{cls.__name__}Settings" if base is Settings else base.__name__
+            place = {"__module__": cls.__module__, "__qualname__": f"{cls.__qualname__}.settings_type"}
+            cls.settings_type = type(name, (base,), {**place, "__doc__": base.__doc__})
+        own: Any = cls.settings_type
+        own.part = cls
+        if fields(own) and any(p.kind is p.VAR_KEYWORD for p in inspect.signature(cls.__init__).parameters.values()):
+            cls.__signature__ = _signature(cls, own)  # type: ignore[attr-defined]
+
+
+class Part(Configurable, nn.Module):
     """Base of every module of the toolkit.
 
     A subclass with settings names their class as `settings_type`, and its constructor takes them as `resolved` does:
@@ -44,18 +66,8 @@ class Part(nn.Module):
     saved whole (`torch.load(weights_only=True)` takes it), and its public methods run without `torch.autocast`.
     """
 
-    settings_type: ClassVar[type[Settings]] = Settings
-
     def __init_subclass__(cls, **keywords: Any) -> None:
         super().__init_subclass__(**keywords)
-        if "settings_type" not in cls.__dict__:
-            # Settings say of which part they are, so a part that inherits them has its own.
-            base = cls.settings_type
-            name = f"{cls.__name__}Settings" if base is Settings else base.__name__
-            place = {"__module__": cls.__module__, "__qualname__": f"{cls.__qualname__}.settings_type"}
-            cls.settings_type = type(name, (base,), {**place, "__doc__": base.__doc__})
-        cls.settings_type.part = cls
-        cls.__signature__ = _signature(cls, cls.settings_type)  # type: ignore[attr-defined]
         for name, method in list(vars(cls).items()):
             if inspect.isfunction(method) and not name.startswith("_"):
                 setattr(cls, name, full_precision(method))
@@ -211,7 +223,7 @@ def part_of(settings: Settings) -> Any:
     return type(settings).part
 
 
-def _signature(cls: type[Part], kind: type[Kind]) -> inspect.Signature:
+def _signature(cls: type[Any], kind: type[Kind]) -> inspect.Signature:
     """What `help` shows: the constructor's own arguments, then every setting with its default."""
     own = [p for p in inspect.signature(cls.__init__).parameters.values() if p.name != "self"]
     plain = [p for p in own if p.kind not in (p.VAR_POSITIONAL, p.VAR_KEYWORD)]

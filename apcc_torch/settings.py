@@ -23,8 +23,11 @@ from apcc_torch.modes import values_of
 Setting = float | Tensor
 """A number for all rows, or (...) numbers that broadcast with the leading dimensions of what they are used on."""
 
-Numbers = float | Sequence[float] | Mapping[str, Sequence[float]] | Tensor
-"""A number for all entries, one an entry, `{"along": [...]}`, see `spread`, or a tensor (..., n)."""
+Numbers = float | Sequence[float | str] | Tensor
+"""A number for all entries, one an entry, a profile `["along", ...]`, see `spread`, or a tensor (..., n)."""
+
+ALONG = "along"
+"""The first entry of a list that is a profile: what follows are values from the base to the tip, however many."""
 
 PAPER, OURS = "paper", "ours"
 """Where a default comes from: the paper, or a choice that the paper leaves open."""
@@ -234,6 +237,8 @@ _WORDS = {"bool": "true or false", "int": "a whole number", "str": "a text", "fl
 def check_type(key: str, value: Any, annotation: str) -> None:
     """Raises ConfigError where a value is of none of the types of its annotation, if those are plain ones."""
     allowed = {"float" if part == "Setting" else part for part in annotation.replace(" ", "").split("|")}
+    if "Numbers" in allowed and not _are_numbers(value):
+        raise ConfigError(f"{key} must be a number, a list of numbers or [along, ...], got {value!r}")
     plain = allowed - {"None", "Tensor"}
     if not plain or not plain <= _PLAIN.keys():
         return
@@ -246,6 +251,13 @@ def check_type(key: str, value: Any, annotation: str) -> None:
         good = any(isinstance(value, _PLAIN[name]) for name in plain)
     if not good:
         raise ConfigError(f"{key} must be {' or '.join(_WORDS[name] for name in sorted(plain))}, got {value!r}")
+
+
+def _are_numbers(value: Any) -> bool:
+    """Whether a value is a number, a tensor, a profile, or lists of numbers."""
+    if isinstance(value, list | tuple):
+        return len(value) > 0 and all(map(_are_numbers, value[1:] if is_profile(value) else value))
+    return isinstance(value, int | float | Tensor) and not isinstance(value, bool)
 
 
 def numbers_in(value: Any) -> Iterable[float]:
@@ -287,8 +299,8 @@ def spread(name: str, value: Numbers, n: int) -> Tensor:
 
     Args:
         name: The setting's name, for messages.
-        value: A number for all; n numbers; a tensor (..., n); or `{"along": [...]}`, numbers from the base to the tip
-            that are read off at each entry's place, whatever their count: a profile serves arms of any n.
+        value: A number for all; n numbers; a tensor (..., n); or a profile `["along", ...]`, numbers from the base to
+            the tip that are read off at each entry's place: it serves arms of any n.
         n: Number of entries.
 
     Raises:
@@ -300,17 +312,20 @@ def spread(name: str, value: Numbers, n: int) -> Tensor:
         if isinstance(value, nn.Parameter) and not value.dim():
             raise ConfigError(f"{name} is trained as {n} numbers: hand in nn.Parameter(torch.full(({n},), number))")
         return value if value.dim() else value.expand(n)
-    if isinstance(value, Mapping):
-        if set(value) != {"along"} or isinstance(value["along"], str) or not len(value["along"]):
-            raise ConfigError(f"{name} must be a number, {n} numbers or {{along: [...]}}, got {dict(value)!r}")
-        points = _vector(name, value["along"], n)
-        return points if len(points) == n else _resampled(points, n)
     if isinstance(value, int | float) and not isinstance(value, bool):
         return torch.full((n,), float(value), dtype=torch.float64)
+    if is_profile(value) and len(value) > 1:  # type: ignore[arg-type]
+        points = _vector(name, value[1:], n)  # type: ignore[index]
+        return points if len(points) == n else _resampled(points, n)
     numbers = _vector(name, value, n)
     if len(numbers) != n:
         raise ConfigError(f"{name} must have {n} entries, got {len(numbers)}")
     return numbers
+
+
+def is_profile(value: Any) -> bool:
+    """Whether it is a list of values along the arm."""
+    return isinstance(value, list | tuple) and len(value) > 0 and value[0] == ALONG
 
 
 def _vector(name: str, value: Any, n: int) -> Tensor:
@@ -319,7 +334,7 @@ def _vector(name: str, value: Any, n: int) -> Tensor:
             raise TypeError
         return torch.tensor([float(entry) for entry in value], dtype=torch.float64)
     except (TypeError, ValueError) as error:
-        raise ConfigError(f"{name} must be a number or a list of {n} numbers, got {value!r}") from error
+        raise ConfigError(f"{name} must be a number, a list of {n} numbers or [along, ...], got {value!r}") from error
 
 
 def _resampled(points: Tensor, n: int) -> Tensor:

@@ -13,9 +13,11 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
 from omegaconf import DictConfig
 
-from apcc_torch.composition.conf_path import conf_path
+from apcc_torch.composition.arm_file import arm_override
+from apcc_torch.composition.help import describe
 from apcc_torch.composition.run_settings import SimulateSettings
-from apcc_torch.composition.schema import schema
+from apcc_torch.composition.schema import check_words, schema
+from apcc_torch.conf_path import conf_path
 from apcc_torch.errors import ApccError
 from apcc_torch.experiments.folder import metrics_text
 from apcc_torch.experiments.run import objective_in, run, settings_of
@@ -27,6 +29,7 @@ from apcc_torch.sweeps.job import run_job
 log = logging.getLogger("apcc_torch.simulate")
 
 ConfigStore.instance().store(name="simulate_schema", node=schema(SimulateSettings))
+describe("simulate", SimulateSettings)
 
 
 @hydra.main(version_base="1.3", config_path=conf_path(), config_name="simulate")
@@ -59,7 +62,8 @@ def main() -> None:
         # The manual ends with every key and its value, and only a chosen experiment has them all.
         sys.argv.append("experiment=kinematic")
     try:
-        sys.argv[1:] = with_batch(sys.argv[1:])
+        sys.argv[1:] = arm_override(with_batch(sys.argv[1:]))
+        check_words(sys.argv[1:], SimulateSettings)
     except ApccError as error:
         sys.exit(f"apcc_torch.simulate: {error}")
     try:

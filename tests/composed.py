@@ -8,13 +8,14 @@ from hydra import compose, initialize_config_dir
 from hydra.core.config_store import ConfigStore
 from omegaconf import DictConfig, OmegaConf
 
-from apcc_torch.composition.conf_path import conf_path
-from apcc_torch.composition.realtime import RealtimeConfig
-from apcc_torch.composition.schema import SimulateConfig
-from apcc_torch.composition.typed import typed
+from apcc_torch.composition.arm_file import arm_override
+from apcc_torch.composition.realtime import RealtimeSettings
+from apcc_torch.composition.run_settings import SimulateSettings
+from apcc_torch.composition.schema import schema, typed
+from apcc_torch.conf_path import conf_path
 
-ConfigStore.instance().store(name="simulate_schema", node=SimulateConfig)
-ConfigStore.instance().store(name="realtime_schema", node=RealtimeConfig)
+ConfigStore.instance().store(name="simulate_schema", node=schema(SimulateSettings))
+ConfigStore.instance().store(name="realtime_schema", node=schema(RealtimeSettings))
 
 # Experiments that only the program for an arm, real or simulated, can run.
 ON_AN_ARM = {"calibration", "experiment_1", "experiment_2"}
@@ -23,18 +24,23 @@ ON_AN_ARM = {"calibration", "experiment_1", "experiment_2"}
 def raw(*overrides: str) -> DictConfig:
     """What hydra makes of the overrides."""
     with initialize_config_dir(conf_path(), version_base="1.3"):
-        return compose("simulate", list(overrides))
+        return compose("simulate", arm_override(overrides))
 
 
-def composed(*overrides: str) -> SimulateConfig:
+def composed(*overrides: str) -> SimulateSettings:
     """The settings as the experiments take them."""
-    return typed(raw(*overrides), SimulateConfig)
+    return typed(raw(*overrides), SimulateSettings)
 
 
-def composed_realtime(*overrides: str) -> RealtimeConfig:
-    """The settings of a run in real time."""
+def raw_realtime(*overrides: str) -> DictConfig:
+    """What hydra makes of the overrides for the arm in real time."""
     with initialize_config_dir(conf_path(), version_base="1.3"):
-        return typed(compose("realtime", list(overrides)), RealtimeConfig)
+        return compose("realtime", arm_override(overrides))
+
+
+def composed_realtime(*overrides: str) -> RealtimeSettings:
+    """The settings of a run in real time."""
+    return typed(raw_realtime(*overrides), RealtimeSettings)
 
 
 @cache
@@ -42,8 +48,8 @@ def _plain(experiment: str) -> DictConfig:
     return raw(f"experiment={experiment}")
 
 
-def changed(experiment: str, *changes: str) -> SimulateConfig:
+def changed(experiment: str, *changes: str) -> SimulateSettings:
     """`composed` of an experiment and changed keys, without choices of groups: much faster where many are tried."""
     cfg = OmegaConf.merge(_plain(experiment), OmegaConf.from_dotlist(list(changes)))
     assert isinstance(cfg, DictConfig)
-    return typed(cfg, SimulateConfig)
+    return typed(cfg, SimulateSettings)

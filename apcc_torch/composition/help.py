@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Iterator
+import typing
+from collections.abc import Iterator, Mapping
+from dataclasses import MISSING, is_dataclass
 from typing import Any, NamedTuple
 
 from omegaconf import DictConfig, OmegaConf
@@ -11,13 +13,18 @@ from omegaconf import DictConfig, OmegaConf
 from apcc_torch.composition.schema import typed
 from apcc_torch.errors import ApccError
 from apcc_torch.part import part_of
-from apcc_torch.settings import Settings, about_of, keys
+from apcc_torch.settings import Settings, about_of, default_of, keys
 
 WIDTH = 118
+ROOTS: dict[str, type[Settings]] = {}
+"""The root of each command whose help is to name its keys."""
 
 
 class Row(NamedTuple):
-    """One key: its dotted name, its value as text, its unit, where its default comes from, what it means."""
+    """One key: its dotted name, its value as text, its unit, what it means, and where the value comes from.
+
+    source: "paper" or "ours" of a default; "set; ours 0.2" where it is not the default, which is 0.2; "" of a group.
+    """
 
     key: str
     value: str
@@ -26,27 +33,45 @@ class Row(NamedTuple):
     meaning: str
 
 
-def rows(settings: Settings, prefix: str = "") -> Iterator[Row]:
-    """Every key of settings, group by group; a group's own row says what it is."""
-    for each in keys(type(settings)):
-        value, about, key = getattr(settings, each.name), about_of(each), f"{prefix}{each.name}"
+def rows(settings: Settings | type[Settings], prefix: str = "") -> Iterator[Row]:
+    """Every key of settings, or of a class with its defaults, group by group; a group's own row says what it is.
+
+    A part that may be left out and is, has its keys too: it is there once one of them is set.
+    """
+    kind = settings if isinstance(settings, type) else type(settings)
+    for each in keys(kind):
+        about, key = about_of(each), f"{prefix}{each.name}"
+        value = default_of(each) if settings is kind else getattr(settings, each.name)
+        absent = typing.get_type_hints(kind)[each.name]
+        absent = next((option for option in typing.get_args(absent) if is_dataclass(option)), None)
         if isinstance(value, Settings):
-            kind = f"{part_of(value).__name__}" if about.base is not None else ""
-            yield Row(key, kind, "", "", about.meaning)
+            yield Row(key, _shown(value) if about.base is not None else "", "", "", about.meaning)
             yield from rows(value, f"{key}.")
+        elif value is None and about.base is None and absent is not None:
+            yield Row(key, "null", "", "", about.meaning)
+            yield from rows(typing.cast(type[Settings], absent), f"{key}.")
         else:
-            yield Row(key, _shown(value), about.unit, about.source, about.meaning)
+            default, source = default_of(each), about.source
+            if default is MISSING:
+                source = "to be set"
+            elif value is not default and value != default:
+                source = f"set; {source} {_shown(default)}"
+            yield Row(key, _shown(value), about.unit, source, about.meaning)
 
 
 def _shown(value: Any) -> str:
     if value is None:
         return "null"
+    if isinstance(value, Settings):
+        return part_of(value).__name__
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, float):
         return f"{value:g}"
     if isinstance(value, tuple | list):
         return f"[{', '.join(_shown(entry) for entry in value)}]"
+    if isinstance(value, Mapping):
+        return f"{{{', '.join(f'{name}: {_shown(entry)}' for name, entry in value.items())}}}"
     return str(value)
 
 
@@ -54,27 +79,30 @@ def table(settings: Settings) -> str:
     """The keys as text, one a line."""
     lines = []
     for row in rows(settings):
-        depth = row.key.count(".")
+        indent = "  " * row.key.count(".")
         if not row.source:
-            lines += ["", f"{'  ' * depth}{row.key}  {row.value}".rstrip() + f"   {row.meaning}"]
+            lines += ["", f"{indent}{row.key}  {row.value}".rstrip() + f"   {row.meaning}"]
             continue
         value = textwrap.shorten(row.value, 34, placeholder=" …")
         unit = f" {row.unit}" if row.unit else ""
-        head = f"{'  ' * depth}{row.key}={value}{unit}"
-        words = f"[{row.source}] {row.meaning}"
-        lines += [
-            f"{head:<52} {line}" if i == 0 else f"{'':<52} {line}" for i, line in enumerate(_wrapped(words, head))
-        ]
+        head = f"{indent}{row.key}={value}{unit}"
+        words = textwrap.wrap(f"[{row.source}] {row.meaning}", max(40, WIDTH - max(53, len(head) + 1)))
+        lines += [f"{head if i == 0 else '':<52} {line}" for i, line in enumerate(words)]
     return "\n".join(lines)
 
 
-def _wrapped(words: str, head: str) -> list[str]:
-    return textwrap.wrap(words, max(40, WIDTH - max(53, len(head) + 1)))
-
-
-def settings_text(root: type[Settings], cfg: DictConfig) -> str:
-    """The keys of the settings that a composed configuration means; of one that means none, why not."""
+def _keys_of(command: str, *, _root_: DictConfig) -> str:
     try:
-        return table(typed(cfg, root))
+        told = table(typed(_root_, ROOTS[command]))
     except ApccError as error:
-        return f"These settings do not fit: {error}\n\n{OmegaConf.to_yaml(cfg)}"
+        told = f"These settings do not fit: {error}"
+    return told.replace("$", "$$")  # hydra reads its template's dollars
+
+
+def describe(command: str, root: type[Settings]) -> None:
+    """Makes `${keys_of:COMMAND}` in a command's help template the table of the keys of its root.
+
+    What is shown are the values that the command would run with.
+    """
+    ROOTS[command] = root
+    OmegaConf.register_new_resolver("keys_of", _keys_of, replace=True)

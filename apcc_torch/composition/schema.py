@@ -2,41 +2,75 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import TypeVar
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, TypeVar
 
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
+from apcc_torch.conf_path import conf_path
 from apcc_torch.errors import ConfigError
 from apcc_torch.reading import defaults, plain, read
-from apcc_torch.settings import Settings, about_of, default_of, keys
+from apcc_torch.settings import Settings, about_of, default_of, did_you_mean, keys
 
 Root = TypeVar("Root", bound=Settings)
+
+OWN_FILES = re.compile(r"-(cd|cp|cn|-config-(dir|path|name))\b")
+"""Options of hydra that bring configurations of a user's own, which may hold keys of their own."""
 
 
 def schema(root: type[Settings]) -> DictConfig:
     """Every key of a root with its default, for hydra to merge files and a command line into.
 
-    Where a part is named by its class, or may be left out, its keys are that part's: the node takes any, and `typed`
-    refuses what the part does not have.
+    Its groups take any key: `typed` refuses what a group, or the part that is chosen for it, does not have.
     """
-    node = OmegaConf.create(defaults(root))
+    node = OmegaConf.create(_chosen(defaults(root), root))
     assert isinstance(node, DictConfig)  # of a mapping
-    _open(node, root)
+    for value in node.values():
+        if isinstance(value, DictConfig):
+            OmegaConf.set_struct(value, False)
     return node
 
 
-def _open(node: DictConfig, root: type[Settings]) -> None:
+def _chosen(values: dict[str, Any], root: type[Settings]) -> dict[str, Any]:
+    """Defaults without the settings of parts that another choice replaces: their classes alone."""
     for each in keys(root):
         default = default_of(each)
-        if about_of(each).base is not None or (default is None and "Settings" in str(each.type)):
-            content = {} if default is None else {"kind": node[each.name]["kind"]}
-            node[each.name] = DictConfig(content, flags={"struct": False})
+        if about_of(each).base is not None:
+            values[each.name] = {} if default is None else {"kind": values[each.name]["kind"]}
+        elif default is None and "Settings" in str(each.type):
+            values[each.name] = {}
         elif isinstance(default, Settings):
-            _open(node[each.name], type(default))
-        elif isinstance(default, Mapping):
-            node[each.name] = DictConfig(plain(default), flags={"struct": False})
+            _chosen(values[each.name], type(default))
+    return values
+
+
+def check_words(words: Sequence[str], root: type[Settings]) -> None:
+    """Raises ConfigError where a word of a command line sets what is neither a key, nor a group, nor hydra's own."""
+    if any(OWN_FILES.match(word) for word in words):
+        return
+    groups = [path.name for path in Path(conf_path()).iterdir() if path.is_dir()]
+    known = [each.name for each in keys(root)]
+    for word in words:
+        name = re.match(r"(\w+)[\w./@:-]*=", word)
+        if name is not None and name[1] not in (*known, *groups, "hydra"):
+            raise ConfigError(f"{name[1]} is no setting{did_you_mean(name[1], known)}")
+
+
+def values_of(cfg: DictConfig) -> dict[str, Any]:
+    """What hydra composed, as plain values, without hydra's own.
+
+    Raises:
+        ConfigError: A value refers to what there is not.
+    """
+    try:
+        values = OmegaConf.to_container(OmegaConf.masked_copy(cfg, [str(k) for k in cfg if k != "hydra"]), resolve=True)
+    except OmegaConfBaseException as error:
+        raise ConfigError(str(error).splitlines()[0]) from error
+    assert isinstance(values, Mapping)  # of a DictConfig
+    return {str(key): value for key, value in values.items()}
 
 
 def typed(cfg: DictConfig, root: type[Root]) -> Root:
@@ -49,13 +83,7 @@ def typed(cfg: DictConfig, root: type[Root]) -> Root:
     Raises:
         ConfigError, ValueRangeError: A key is unknown or missing, a value of the wrong type or out of range.
     """
-    known = {each.name for each in keys(root)}
-    try:
-        values = OmegaConf.to_container(OmegaConf.masked_copy(cfg, [str(k) for k in cfg if k in known]), resolve=True)
-    except OmegaConfBaseException as error:
-        raise ConfigError(str(error).splitlines()[0]) from error
-    assert isinstance(values, dict)  # of a DictConfig
-    return read({str(key): value for key, value in values.items()}, root)
+    return read(values_of(cfg), root)
 
 
 def text(settings: Settings) -> str:

@@ -14,7 +14,7 @@ from apcc_torch.composition.build import DTYPES
 from apcc_torch.composition.run_settings import SimulateSettings
 from apcc_torch.control.gain import gain_matrix
 from apcc_torch.part import part_of
-from apcc_torch.settings import About, Settings, about_of, spread
+from apcc_torch.settings import About, Settings, about_of, is_profile, spread
 
 Path = tuple[str, ...]
 
@@ -34,7 +34,8 @@ class Point(NamedTuple):
 
 def structure(config: SimulateSettings) -> Hashable:
     """What runs must have in common to share a tensor batch: all but the numbers that may differ by row."""
-    return tuple((path, _form(about, value)) for path, about, value in leaves(config))
+    n = config.arm.n_sections
+    return tuple((path, _form(about, value, n)) for path, about, value in leaves(config))
 
 
 def stacked(configs: Sequence[SimulateSettings]) -> SimulateSettings:
@@ -62,7 +63,7 @@ def _tensor(path: Path, about: About, value: Any, n_sections: int) -> Tensor:
     key = ".".join(path)
     if about.rows in ("gain", "task"):
         return gain_matrix(key, value, n_sections if about.rows == "gain" else 3)
-    if about.rows == "sections" and isinstance(value, float | int | Mapping):
+    if about.rows == "sections" and (isinstance(value, float | int) or is_profile(value)):
         return spread(key, value, n_sections)
     return torch.tensor(value, dtype=torch.int64 if isinstance(value, int) else torch.float64)
 
@@ -92,15 +93,14 @@ def _replaced(settings: Settings, changes: Mapping[Path, Tensor], path: Path = (
     return replace(settings, **values) if values else settings
 
 
-def _form(about: About, value: Any) -> Hashable:
+def _form(about: About, value: Any, n_sections: int) -> Hashable:
     if about.rows and value is not None:
         if about.rows in ("gain", "task"):
             return about.rows
         if about.apart:
             return bool(value > 0)
-        if about.rows == "sections" and isinstance(value, float | int | Mapping):
-            return about.rows
-        sizes = _sizes(value)
+        spreads = about.rows == "sections" and (isinstance(value, float | int) or is_profile(value))
+        sizes = (n_sections,) if spreads else _sizes(value)
         if sizes is not None:
             return sizes
     return repr(value)

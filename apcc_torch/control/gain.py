@@ -16,7 +16,8 @@ def gain_matrix(name: str, gain: Numbers, n: int) -> Tensor:
 
     Args:
         name: The argument's name, for messages.
-        gain: A number or 0-d tensor (times the identity), a diagonal of n, see `spread`, or (..., n, n) matrices.
+        gain: A number or 0-d tensor (times the identity), a diagonal of n, see `spread`, lists of n numbers,
+            or (..., n, n) matrices.
         n: Size.
 
     Raises:
@@ -25,6 +26,8 @@ def gain_matrix(name: str, gain: Numbers, n: int) -> Tensor:
     """
     if isinstance(gain, nn.Parameter) and gain.shape[-2:] != (n, n):
         raise ShapeError(f"{name} is trained as a matrix: hand in nn.Parameter(gain * torch.eye({n}))")
+    if isinstance(gain, list | tuple) and gain and isinstance(gain[0], list | tuple):
+        gain = torch.stack([spread(name, row, n) for row in gain])
     value = gain if isinstance(gain, Tensor) else spread(name, gain, n)
     if value.dim() == 0:
         value = value * torch.eye(n, dtype=value.dtype, device=value.device)

@@ -151,14 +151,8 @@ class InverseKinematics(Part):
         hold_rows(self, K=(gain_matrix("K", s.K, 3), 2))
         for name, value in {"null_weights": s.null_weights, "null_bends": s.null_bends}.items():
             if value is not None:
-                sizes = (
-                    value.shape[-1:]
-                    if isinstance(value, Tensor)
-                    else [len(value)]
-                    if isinstance(value, Sequence)
-                    else []
-                )
-                size = n_sections or (sizes[0] if sizes else 1)
+                own = value.shape[-1] if isinstance(value, Tensor) and value.dim() else 1
+                size = n_sections or (len(value) if isinstance(value, Sequence) else own)
                 hold_rows(self, **{name: (check_finite(name, spread(name, value, size)), 1)})
 
     def forward(self, J_hat: Tensor, e: Tensor, xdot_d: Tensor, q: Tensor, dt: Tensor | None = None) -> Tensor:

@@ -9,7 +9,7 @@ adaptation by multiple models (Narendra and Balakrishnan 1997), of a cost that f
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -26,7 +26,7 @@ from apcc_torch.model.abscissae import located
 from apcc_torch.model.kinematic_model import KinematicModel
 from apcc_torch.modes import holds, none_left, values_of
 from apcc_torch.part import hold_rows, refuse_parameter
-from apcc_torch.settings import OURS, Setting, aligned, is_on, resolved, setting
+from apcc_torch.settings import OURS, Setting, aligned, is_on, is_profile, resolved, setting
 from apcc_torch.shapes import check_finite, check_tensor
 
 UNSEEN = 1.0
@@ -52,7 +52,7 @@ class BankEvidence(NamedTuple):
 class LengthBankSettings(SensorCurveSettings):
     """Settings of `LengthBank`."""
 
-    shares: Shares | Mapping[str, Shares] | Tensor = setting(
+    shares: Shares | Tensor = setting(
         (0.4, 0.55, 0.7, 0.85, 1.0, 1.15),
         "",
         OURS,
@@ -259,7 +259,7 @@ def candidates(nominal: Tensor, lists: Sequence[Tensor], abscissae: Tensor) -> T
     return torch.cat((nominal.unsqueeze(-2).expand(*made.shape[:-2], 1, n_b), made), dim=-2)
 
 
-def lists_of(shares: Shares | Mapping[str, Shares] | Tensor, sections: int) -> list[Tensor]:
+def lists_of(shares: Shares | Tensor, sections: int) -> list[Tensor]:
     """The shares (..., c) of each of `sections` sections; of several runs (P, 1, c), or (P, sections, c) of lists.
 
     Raises:
@@ -268,14 +268,11 @@ def lists_of(shares: Shares | Mapping[str, Shares] | Tensor, sections: int) -> l
     if isinstance(shares, Tensor):
         rows = list(shares.split(1, dim=-2))
         return rows * sections if len(rows) == 1 else rows
-    if isinstance(shares, Mapping):
-        # A profile: each section takes the list of its place along the arm.
-        if set(shares) != {"along"}:
-            raise ConfigError(f"shares must be a list, lists, or {{along: lists}}, got {dict(shares)!r}")
-        m = len(shares["along"])
-        places = [min((2 * i + 1) * m // (2 * sections), m - 1) for i in range(sections)]
-        return lists_of([shares["along"][place] for place in places], sections)  # type: ignore[arg-type]
-    entries = list(shares)
+    entries: list[Any] = list(shares)
+    if is_profile(entries):
+        # Each section takes the list of its place along the arm.
+        profile, m = entries[1:], len(entries) - 1
+        entries = [profile[min((2 * i + 1) * m // (2 * sections), m - 1)] for i in range(sections if m else 0)]
     own = [entry for entry in entries if isinstance(entry, list | tuple | Tensor)]
     alike = [entry for entry in entries if not isinstance(entry, list | tuple | Tensor)]
     if own and (alike or len(own) != sections):

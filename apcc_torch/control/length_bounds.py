@@ -12,7 +12,7 @@ from apcc_torch.errors import ConfigError, ValueRangeError
 from apcc_torch.modes import holds, none_left
 from apcc_torch.part import Part, hold_rows, refuse_parameter
 from apcc_torch.settings import OURS, Numbers, Settings, resolved, setting, spread
-from apcc_torch.shapes import check_finite, check_tensor
+from apcc_torch.shapes import check_finite, check_positive, check_tensor
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,7 +48,7 @@ class LengthBounds(Part):
 
     Raises:
         ConfigError: "each" has other than one sensor a section.
-        ValueRangeError: Bounds cross.
+        ValueRangeError: Bounds cross, or the abscissae do not increase.
 
     Example:
         >>> bounds = LengthBounds(torch.tensor([0.2, 0.25]), torch.tensor([0.2, 0.45]), lower=0.75, reach="last")
@@ -112,6 +112,8 @@ def _ends(reach: str, abscissae: Tensor | None, n_b: int) -> Tensor | None:
         return None
     if abscissae is None:
         raise ConfigError(f"reach={reach} needs the sensors' abscissae")
+    check_positive("the last of the abscissae", check_tensor("abscissae", abscissae, (None,))[..., -1])
+    check_positive("each step of the abscissae", abscissae.diff(dim=-1))
     if reach == "each":
         if abscissae.shape[-1] != n_b:
             raise ConfigError(f"reach=each needs one sensor a section, got {abscissae.shape[-1]} for {n_b}")

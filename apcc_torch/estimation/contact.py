@@ -55,6 +55,16 @@ class ContactSearch(Part):
     Raises:
         ConfigError: The model has too few coordinates to tell a force and its place.
         ValueRangeError: A number is out of range.
+
+    Example:
+        >>> arm = Arm(lengths=[0.2, 0.25], mass=0.45)
+        >>> body = StaticBody(arm.backbone(), density=1.0, axial=10.0, bending=0.0778)
+        >>> balance = ForceBalance(body, arm.routing(), StateFeedback(arm.backbone(), arm.sensor_places()))
+        >>> u = torch.zeros(6).double()
+        >>> pushed = Loads(wrench=torch.tensor([0.0, 0.0, 0.0, 0.5, 0.0, 0.0]).double())
+        >>> posture = Posture(equilibrium(arm.dynamics(), loads=pushed).q, arm.rest_lengths(), u)
+        >>> ContactSearch(balance)(posture).abscissa
+        tensor(0.4500, dtype=torch.float64)
     """
 
     shares: Tensor

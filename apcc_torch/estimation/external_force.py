@@ -35,6 +35,10 @@ class BalanceNoise(NamedTuple):
     tension: Of each tendon's force, N.
     bend, slope, length: Generalized force by which the model is wrong, on bends, torsion and slopes N m, and on
         lengths N. They count for every coordinate apart; `Tare` measures them.
+
+    Example:
+        >>> BalanceNoise(position=1e-3).tension
+        0.05
     """
 
     position: Setting = 2e-4
@@ -51,6 +55,10 @@ class Posture(NamedTuple):
     u: (..., n_a) forces conjugate to tendon length, N (tension is -u); None: nobody measures them.
     qdot: (..., n) configuration velocity, for the forces of damping, taken as exact; None at rest.
     payload: (...) known tip mass, kg; None for none.
+
+    Example:
+        >>> Posture(q_bar=torch.zeros(6), pi_hat=torch.tensor([0.2, 0.25]), u=torch.zeros(6)).double().q_bar.dtype
+        torch.float64
     """
 
     q_bar: Tensor
@@ -82,6 +90,11 @@ def tare(imbalance: Tensor, floor: Tensor) -> Tare:
     Args:
         imbalance: (N, n) from `ForceBalance.imbalance`; N may be 1: the tare of one posture.
         floor: (n,) least standard deviation.
+
+    Example:
+        >>> left = torch.tensor([[0.1, 0.2], [0.3, 0.2]])
+        >>> tare(left, floor=torch.tensor([0.01, 0.01])).offset
+        tensor([0.2000, 0.2000])
     """
     check_tensor("imbalance", imbalance, (None, None))
     offset = imbalance.mean(0)
@@ -109,6 +122,15 @@ class ForceBalance(Part):
     Raises:
         ConfigError: The feedback's model is not the body's.
         ValueRangeError: A number is out of range.
+
+    Example:
+        >>> arm = Arm(lengths=[0.2, 0.25], mass=0.45)
+        >>> body = StaticBody(arm.backbone(), density=1.0, axial=10.0, bending=0.0778)
+        >>> balance = ForceBalance(body, arm.routing(), StateFeedback(arm.backbone(), arm.sensor_places()))
+        >>> u = torch.zeros(6).double()
+        >>> hanging = equilibrium(arm.dynamics(), payload=torch.tensor(0.1).double())
+        >>> balance.payload(Posture(hanging.q, arm.rest_lengths(), u)).value
+        tensor([0.1000], dtype=torch.float64)
     """
 
     position_noise: Setting

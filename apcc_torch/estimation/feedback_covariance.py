@@ -76,6 +76,13 @@ def feedback_covariance(
         position_noise: Standard deviation of each coordinate, m, as in `simulation.sensors.PoseSensors`.
         angular_noise: Of each component of the rotation vector, rad.
         mask, angular_mask: (..., k) bool, as in `StateFeedback.forward`.
+
+    Example:
+        >>> arm = Arm(lengths=[0.2, 0.25])
+        >>> feedback = StateFeedback(arm.backbone(), arm.sensor_places())
+        >>> S = feedback_covariance(feedback, torch.zeros(6).double(), arm.rest_lengths(), 1e-3, 0.01)
+        >>> S.diagonal().sqrt()
+        tensor([0.0094, 0.0094, 0.0010, 0.0140, 0.0140, 0.0014], dtype=torch.float64)
     """
     response = feedback_response(feedback, q_bar, pi_hat, mask, angular_mask)
     angular, linear = response.split_with_sizes((3, 3), dim=-1)

@@ -34,6 +34,10 @@ class ShapeNoise(NamedTuple):
 
     position: Of each coordinate of a sensor, m. angle: Of each component of its rotation vector, rad.
     length: Of each tendon's length change, m. tension: Of each tendon's force, N.
+
+    Example:
+        >>> ShapeNoise(position=2e-3).tension
+        0.5
     """
 
     position: Setting = 1e-3
@@ -42,7 +46,7 @@ class ShapeNoise(NamedTuple):
     tension: Setting = 0.5
 
 
-class HeldShapeEstimate(NamedTuple):
+class LoadEstimate(NamedTuple):
     """A load and the shape it explains.
 
     load: Payload (..., 1) kg or tip force (..., 3) N in world axes, with covariance and status.
@@ -57,7 +61,7 @@ class HeldShapeEstimate(NamedTuple):
     converged: Tensor
 
 
-class HeldShape(Part):
+class LoadFromShape(Part):
     """Estimates a payload or a tip force from tendon lengths and sensor poses, tendon forces, or both.
 
     Args:
@@ -73,6 +77,13 @@ class HeldShape(Part):
     Raises:
         ConfigError: The unknown is not known.
         ValueRangeError: A number is out of range.
+
+    Example:
+        >>> arm = Arm(lengths=[0.2, 0.25], mass=0.4)
+        >>> finer, y = arm.dynamics(2), torch.zeros(6).double()
+        >>> held = equilibrium(finer, routing=arm.routing(), tendon_lengths=y, payload=torch.tensor(0.1).double())
+        >>> LoadFromShape(finer, arm.routing(), arm.sensor_places())(y, u=held.u).load.value
+        tensor([0.1000], dtype=torch.float64)
     """
 
     abscissae: Tensor
@@ -113,7 +124,7 @@ class HeldShape(Part):
 
     def forward(
         self, y: Tensor, T: Tensor | None = None, u: Tensor | None = None, mask: Tensor | None = None
-    ) -> HeldShapeEstimate:
+    ) -> LoadEstimate:
         """The load of each row.
 
         Args:
@@ -154,7 +165,7 @@ class HeldShape(Part):
         known = torch.isfinite(found.value) & rest.converged.unsqueeze(-1)
         status = torch.where(rest.converged, found.status, int(EstimateStatus.INVALID))
         final = found._replace(value=torch.where(known, load, torch.nan), status=status)
-        return HeldShapeEstimate(final, rest.q, rest.u, rest.converged & small)
+        return LoadEstimate(final, rest.q, rest.u, rest.converged & small)
 
     def _per_newton(self) -> float | Tensor:
         """What a unit of the unknown weighs, N."""

@@ -49,6 +49,17 @@ class MomentumObserver(Part):
 
     Raises:
         ValueRangeError: A number is out of range.
+
+    Example:
+        >>> arm = Arm(lengths=[0.2, 0.25], mass=0.4)
+        >>> dynamics, still = arm.dynamics(), torch.zeros(6).double()
+        >>> q = equilibrium(dynamics, payload=torch.tensor(0.1).double()).q
+        >>> observer = MomentumObserver(dynamics, arm.routing())
+        >>> state = observer.initial_state(q)
+        >>> for _ in range(30):
+        ...     state = observer(state, q, still, still, 0.05)
+        >>> observer.load(state, q, 1e-4 * torch.eye(6).double()).value
+        tensor([0.1000], dtype=torch.float64)
     """
 
     gain: Setting

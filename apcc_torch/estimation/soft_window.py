@@ -26,6 +26,14 @@ class SoftWindow(SavitzkyGolay):
 
     Raises:
         ShapeError, ValueRangeError: An argument is out of its range.
+
+    Example:
+        >>> window = SoftWindow(torch.tensor([0.2, 0.5, 1.0]).double(), order=1)
+        >>> state = window.initial_state(torch.zeros(1).double(), torch.tensor(0.0).double())
+        >>> for time in torch.tensor([0.1, 0.2, 0.3]).double():
+        ...     state, slope = window(state, 2.0 * time.unsqueeze(-1), time)
+        >>> slope
+        tensor([2.0000], dtype=torch.float64)
     """
 
     weights: Tensor

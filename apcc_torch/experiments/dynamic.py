@@ -261,6 +261,11 @@ def draw(outcome: Outcome, folder: Path, name: str = "run") -> None:
     save_animation(folder / "animation", snapshots(thin, outcome.arms, -1, None), film)
 
 
+def redraw(config: SimulateSettings, arrays: dict[str, Tensor], into: Path, figured: bool, filmed: bool) -> None:
+    """See `kinds.Kind`; figures and film are drawn together."""
+    draw(loaded(config, arrays), into, _name(config))
+
+
 def run(config: SimulateSettings, folder: Path) -> dict[str, float]:
     """Runs the configured controller over the grid and writes its folder; returns the metrics.
 
@@ -268,7 +273,7 @@ def run(config: SimulateSettings, folder: Path) -> dict[str, float]:
         ConfigError, ValueRangeError: A setting has no meaning.
     """
     started = time.perf_counter()
-    name = "adaptive" if config.controller.adaptive else "standard"
+    name = _name(config)
     outcome = simulate(config, label=f"{config.experiment.name}, {name}")
     found = metrics(outcome)
     if config.figures:
@@ -276,3 +281,7 @@ def run(config: SimulateSettings, folder: Path) -> dict[str, float]:
     found["wall_s"] = time.perf_counter() - started
     RunFolder(folder).write(found, arrays(outcome), config.seed)
     return found
+
+
+def _name(config: SimulateSettings) -> str:
+    return "adaptive" if config.controller.adaptive else "standard"

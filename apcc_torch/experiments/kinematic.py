@@ -16,7 +16,9 @@ from apcc_torch.control.controller import APCCController
 from apcc_torch.control.inverse_kinematics import elongation_cost
 from apcc_torch.experiments.folder import RunFolder, progress_bar
 from apcc_torch.model.kinematic_model import KinematicModel
-from apcc_torch.report.kinematic import kinematic_figures, select_row
+from apcc_torch.report.animation import save_animation
+from apcc_torch.report.backbone_drawing import Snapshots
+from apcc_torch.report.kinematic import kinematic_figures, select_row, snapshots
 from apcc_torch.report.style import save_figures
 from apcc_torch.simulation.kinematic import KinematicLog, simulate_exact, simulate_feedback
 from apcc_torch.simulation.metrics import backbone_error
@@ -24,6 +26,9 @@ from apcc_torch.simulation.progress import Progress
 
 SHAPE_SAMPLES = 200
 """Largest number of instants at which the shape error is computed."""
+FILM_FRAMES = 120
+INSTANTS = 600
+"""Largest number of instants of a run that is drawn anew; more would not be seen."""
 
 
 def kinematic_metrics(log: KinematicLog, backbone: KinematicModel, pi: Tensor) -> dict[str, float]:
@@ -139,6 +144,31 @@ def loaded(config: SimulateSettings, data: Mapping[str, Tensor]) -> Outcome:
     """The outcome of a run from its trajectory.npz."""
     build = Builder(config)
     return Outcome(KinematicLog(*(data[name] for name in KinematicLog._fields)), data["pi"], build.controller())
+
+
+def redraw(config: SimulateSettings, arrays: dict[str, Tensor], into: Path, figured: bool, filmed: bool) -> None:
+    """See `kinds.Kind`."""
+    outcome = loaded(config, arrays)
+    T = outcome.log.time.shape[0]
+    kept = torch.arange(T - 1, -1, -max(1, -(-T // INSTANTS))).flip(0)
+    outcome = outcome._replace(log=KinematicLog(*(field[kept] for field in outcome.log)))
+    if figured:
+        draw(outcome, into)
+    if filmed:
+        shots, readouts = film(outcome)
+        save_animation(into / "animation", shots, readouts, max_frames=FILM_FRAMES)
+
+
+def film(outcome: Outcome) -> tuple[Snapshots, dict[str, Tensor]]:
+    """The moments of row 0, and the errors that run along."""
+    pi, backbone = outcome.pi, outcome.controller.backbone
+    log = select_row(outcome.log, 0)
+    end = float(log.time[-1])
+    shots = snapshots(log, pi, outcome.controller.feedback.abscissae, backbone, end, FILM_FRAMES)
+    at = torch.isin(log.time, shots.time)
+    error = 1e3 * backbone_error(backbone, log.q_true[at], pi, backbone, log.q_bar[at], log.pi_hat[at])
+    readouts = {"shape error (mm)": error, "end-effector error (mm)": 1e3 * (log.x_d - log.x)[at].norm(dim=-1)}
+    return shots._replace(target=log.x_d[at]), readouts
 
 
 def run(config: SimulateSettings, folder: Path) -> dict[str, float]:

@@ -6,6 +6,7 @@ import time
 from pathlib import Path
 
 import torch
+from torch import Tensor
 
 from apcc_torch.composition.build import Builder
 from apcc_torch.composition.run_settings import SimulateSettings
@@ -18,7 +19,7 @@ from apcc_torch.recordings.replay import held_out_error, replay
 from apcc_torch.recordings.replay_log import replay_metrics
 from apcc_torch.recordings.rest_pose import calibrate
 from apcc_torch.report.replay import ReplayCurves, replay_figure
-from apcc_torch.report.style import save_figures
+from apcc_torch.report.style import save_figure, save_figures
 
 
 def run(config: SimulateSettings, folder: Path) -> dict[str, float]:
@@ -54,13 +55,7 @@ def run(config: SimulateSettings, folder: Path) -> dict[str, float]:
     arm = config.arm.changed(lengths=lengths, sensors=abscissae, racks=abscissae)
     build = Builder(config.changed(arm=arm))
     controller = build.controller()
-    gate = SensorGate(
-        len(abscissae),
-        max_speed=r.max_speed,
-        max_angular_rate=r.max_angular_rate,
-        max_twist=r.max_twist,
-        max_reach=[1.5 * a for a in abscissae],
-    )
+    gate = SensorGate(calibration.abscissae, r.gate)
     frames = slice(r.frames)
     with torch.inference_mode():
         log = replay(
@@ -92,3 +87,12 @@ def run(config: SimulateSettings, folder: Path) -> dict[str, float]:
     metrics["wall_s"] = time.perf_counter() - started
     RunFolder(folder).write(metrics, log._asdict(), config.seed)
     return metrics
+
+
+def redraw(config: SimulateSettings, arrays: dict[str, Tensor], into: Path, figured: bool, filmed: bool) -> None:
+    """See `kinds.Kind`; there is no true arm to film."""
+    names = ("time", "q_bar", "angular_error", "linear_error", "position_reason", "orientation_reason")
+    curves, coordinates = ReplayCurves(*(arrays[name] for name in names)), Builder(config).backbone().coordinates
+    title = Path(config.data).name if config.data else ""
+    figure = replay_figure(curves, title=title, coordinates=coordinates)
+    save_figure(figure, into / "replay.png")

@@ -1,11 +1,11 @@
-"""The table of experiments, and one run of a configuration: settings in, a folder of results out."""
+"""One run of a configuration: settings in, a folder of results out."""
 
 from __future__ import annotations
 
 import json
 import math
 import shutil
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,17 +15,10 @@ from omegaconf import DictConfig
 from apcc_torch.composition.run_settings import SimulateSettings
 from apcc_torch.composition.schema import text, typed
 from apcc_torch.errors import ConfigError
-from apcc_torch.experiments import dynamic, kinematic, replay
 from apcc_torch.experiments.folder import versions
+from apcc_torch.experiments.kinds import KINDS, Kind, kind_of
 from apcc_torch.files import write_atomically, write_json
 from apcc_torch.reading import plain
-from apcc_torch.settings import check_choice
-
-EXPERIMENTS: dict[str, Callable[[SimulateSettings, Path], dict[str, float]]] = {
-    "dynamic": dynamic.run,
-    "kinematic": kinematic.run,
-    "replay": replay.run,
-}
 
 METRICS, PRUNED = "metrics.json", "pruned.json"
 
@@ -55,7 +48,7 @@ def run(config: SimulateSettings, folder: Path) -> dict[str, float]:
     """
     if config.threads is not None:
         torch.set_num_threads(config.threads)
-    experiment = EXPERIMENTS[check_choice("experiment.kind", config.experiment.kind, tuple(EXPERIMENTS))]
+    experiment = kind_of(config, KINDS)
     after = config.prune.after
     if after is not None:
         if not 0 < after < config.experiment.duration:
@@ -66,7 +59,7 @@ def run(config: SimulateSettings, folder: Path) -> dict[str, float]:
             write_json(folder / "versions.json", {**versions(), "seed": config.seed})
             write_json(folder / PRUNED, {"why": why, **pruning(config), "metrics": metrics})
             return metrics
-    return experiment(config, folder)
+    return experiment.run(config, folder)
 
 
 def pruning(config: SimulateSettings) -> dict[str, object]:
@@ -99,16 +92,11 @@ def objective_in(folder: Path, name: str | None) -> float | None:
     return objective_value(json.loads((folder / METRICS).read_text(encoding="utf-8")), name)
 
 
-def _tried(
-    experiment: Callable[[SimulateSettings, Path], dict[str, float]],
-    config: SimulateSettings,
-    folder: Path,
-    after: float,
-) -> dict[str, float]:
+def _tried(experiment: Kind, config: SimulateSettings, folder: Path, after: float) -> dict[str, float]:
     """Metrics of the first `after` seconds; leaves no file."""
     short = replace(config, figures=False, experiment=replace(config.experiment, duration=after))
     try:
-        return experiment(short, folder)
+        return experiment.run(short, folder)
     finally:
         shutil.rmtree(folder, ignore_errors=True)
 

@@ -42,6 +42,13 @@ class AffineBackbone(StrainBackbone):
     Raises:
         ValueRangeError: n_sections or rods < 1, or base_rotation is not a rotation.
         ShapeError: base_rotation is not (3, 3).
+
+    Example:
+        >>> backbone, L0 = AffineBackbone(1, rods=8), torch.tensor([0.2])
+        >>> backbone.coordinates.names(backbone.n)
+        ['bend x 1', 'bend y 1', 'slope x 1', 'slope y 1', 'elongation 1']
+        >>> backbone.tip(torch.tensor([0.5, 0.0, 0.2, 0.0, 0.0]), L0)
+        tensor([0.0425, 0.0000, 0.1933])
     """
 
     settings_type = AffineSettings

@@ -60,6 +60,13 @@ class ConstantStrainBackbone(StrainBackbone):
         ConfigError: A strain is unknown or named twice, the elongation is missing, or not every section has one.
         ValueRangeError: n_sections < 1, or base_rotation is not a rotation.
         ShapeError: base_rotation is not (3, 3).
+
+    Example:
+        >>> backbone = ConstantStrainBackbone(1, strains=("bend_x", "bend_y", "torsion", "elongation"))
+        >>> backbone.coordinates.names(backbone.n)
+        ['bend x 1', 'bend y 1', 'torsion 1', 'elongation 1']
+        >>> backbone.tip(torch.tensor([0.5, 0.0, 0.2, 0.0]), torch.tensor([0.2]))
+        tensor([0.0488, 0.0033, 0.1918])
     """
 
     settings_type = ConstantStrainSettings

@@ -61,6 +61,10 @@ class SoftArmDynamics(Part):
     Raises:
         ShapeError: The parameters' shapes do not agree.
         ValueRangeError: A length, mass or stiffness is not positive, or a damping is negative.
+
+    Example:
+        >>> Arm(lengths=[0.2, 0.25]).dynamics().gravity(torch.zeros(6).double())[[2, 5]]
+        tensor([-7.6300, -2.7250], dtype=torch.float64)
     """
 
     lengths: Tensor

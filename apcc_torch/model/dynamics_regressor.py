@@ -45,6 +45,13 @@ class DynamicsRegressor(Part):
     Raises:
         ShapeError: base_rotation is not (3, 3).
         ValueRangeError: n_quadrature is below 2, the ratio is negative, or a number is not finite.
+
+    Example:
+        >>> arm = Arm(lengths=[0.2, 0.25])
+        >>> regressor = DynamicsRegressor(arm.routing(), arm.base_rotation())
+        >>> still = torch.zeros(6).double()
+        >>> regressor(still, still, still, still, arm.rest_lengths()).shape
+        torch.Size([6, 5])
     """
 
     base_rotation: Tensor

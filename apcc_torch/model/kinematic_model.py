@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import fields
-from typing import Any, Protocol, Self
+from typing import Any, Protocol, Self, cast
 
 import torch
 from torch import Tensor
@@ -63,6 +63,11 @@ class KinematicModel(Part, ABC):
     Raises:
         ValueRangeError: n_sections < 1, or base_rotation is not a rotation.
         ShapeError: base_rotation is not (3, 3).
+
+    Example:
+        >>> models = PCCBackbone(2), AffineBackbone(2), ConstantStrainBackbone(2)
+        >>> [(isinstance(model, KinematicModel), model.n) for model in models]
+        [(True, 6), (True, 10), (True, 12)]
     """
 
     base_rotation: Tensor
@@ -86,7 +91,7 @@ class KinematicModel(Part, ABC):
     def on(cls, n_sections: int, base_rotation: Tensor, settings: Settings) -> Self:
         """The model of so many sections on a base, with the settings of its class, if that has any."""
         own: Any = [settings] if fields(settings) else []
-        return cls(n_sections, base_rotation, *own)
+        return cast(Any, cls)(n_sections, base_rotation, *own)
 
     @property
     @abstractmethod

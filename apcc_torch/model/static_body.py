@@ -36,6 +36,11 @@ class StaticBody(Part):
     Raises:
         ConfigError: The model has a coordinate whose rigidity is not given.
         ValueRangeError: A number is out of range.
+
+    Example:
+        >>> body = StaticBody(PCCBackbone(2), density=1.6, axial=10.0, bending=0.08)
+        >>> body.stiffness(torch.tensor([0.2, 0.25]))
+        tensor([ 0.4000,  0.4000, 50.0000,  0.3200,  0.3200, 40.0000])
     """
 
     density: Setting

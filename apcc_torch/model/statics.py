@@ -57,6 +57,11 @@ def load_stiffness(
         q: (..., n) rad, rad, m.
         payload: (...) tip mass, kg.
         loads: External loads.
+
+    Example:
+        >>> load, slope = load_stiffness(Arm(lengths=[0.2, 0.25]).dynamics(), torch.zeros(6).double())
+        >>> load[[2, 5]], slope.shape
+        (tensor([-7.6300, -2.7250], dtype=torch.float64), torch.Size([6, 6]))
     """
     n = q.shape[-1]
     with torch.enable_grad():
@@ -102,6 +107,13 @@ def equilibrium(
 
     Raises:
         ConfigError: Tensions and lengths are both given, or the routing is missing.
+
+    Example:
+        >>> arm = Arm(lengths=[0.2, 0.25], mass=0.4)
+        >>> pulls = torch.tensor([0.0, 0.0, 0.0, 2.0, 0.0, 0.0]).double()
+        >>> rest = equilibrium(arm.dynamics(), routing=arm.routing(), tensions=pulls)
+        >>> arm.backbone().tip(rest.q, arm.rest_lengths())
+        tensor([ 0.0288, -0.0166, -0.4462], dtype=torch.float64)
     """
     if tensions is not None and tendon_lengths is not None:
         raise ConfigError("give tensions or tendon_lengths, not both")

@@ -38,6 +38,10 @@ def scaled_stiffness(
 
     Raises:
         ValueRangeError: A length is not positive, or `rule` is unknown.
+
+    Example:
+        >>> scaled_stiffness(torch.tensor([0.1, 0.2]), reference=0.1, axial=100.0, bending=0.8)
+        (tensor([100.,  50.]), tensor([0.8000, 0.4000]))
     """
     check_positive("lengths", check_tensor("lengths", lengths, (None,)))
     if rule == "series":

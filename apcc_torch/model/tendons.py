@@ -25,15 +25,20 @@ class TendonRouting(Part):
     Args:
         angles: (n_a,) angle of each tendon around the backbone from the section's x axis, rad.
         offsets: (n_a,) distance from the backbone, m.
-        anchors: (n_a,) material abscissa where each tendon ends, m.
+        anchors: (..., n_a) material abscissa where each tendon ends, m.
         layout: "coupled" or "independent".
-        starts: (n_a,) material abscissa where each tendon begins to act, m. None: zero in the coupled layout, the
+        starts: (..., n_a) material abscissa where each tendon begins to act, m. None: zero in the coupled layout, the
             largest smaller anchor (or zero) in the independent one.
 
     Raises:
         ConfigError: `layout` is unknown.
         ShapeError: The four tensors differ in length.
         ValueRangeError: An offset or anchor is not positive.
+
+    Example:
+        >>> routing = TendonRouting(torch.tensor([0.0, pi]), torch.tensor([0.02, 0.02]), torch.tensor([0.2, 0.45]))
+        >>> routing.lengths(torch.tensor([0.5, 0.0, 0.0, 0.0, 0.0, 0.01]), torch.tensor([0.2, 0.25]))
+        tensor([-0.0100,  0.0200])
     """
 
     angles: Tensor
@@ -78,8 +83,8 @@ class TendonRouting(Part):
         check_same(pi_hat=pi_hat, anchors=self.anchors)
         begin = (torch.cumsum(pi_hat, dim=-1) - pi_hat).unsqueeze(-1)
         length = pi_hat.unsqueeze(-1)
-        reached = ((self.anchors - begin) / length).clamp(0.0, 1.0)
-        return ((self.starts - begin) / length).clamp(0.0, 1.0), reached
+        reached = ((self.anchors.unsqueeze(-2) - begin) / length).clamp(0.0, 1.0)
+        return ((self.starts.unsqueeze(-2) - begin) / length).clamp(0.0, 1.0), reached
 
     def fractions(self, pi_hat: Tensor) -> Tensor:
         """Share of each section that each tendon traverses (..., n_b, n_a), in [0, 1]; see `limits`."""
@@ -141,11 +146,16 @@ def rack_routing(
     The defaults with racks (0.105, 0.36, 0.60) m are the nine tendons of the paper's section V-B.
 
     Args:
-        racks: (k,) abscissae of the racks, m, increasing.
+        racks: (..., k) abscissae of the racks, m, increasing.
         offset: Distance of every tendon from the backbone, m.
         per_rack: Tendons per rack, 360/per_rack degrees apart.
         twist: Rotation of each rack relative to the preceding one, rad.
         layout: "coupled" or "independent"; see `TendonRouting`.
+
+    Example:
+        >>> routing = rack_routing(torch.tensor([0.2, 0.45]), offset=0.02, per_rack=3)
+        >>> routing.n_tendons, routing.anchors
+        (6, tensor([0.2000, 0.2000, 0.2000, 0.4500, 0.4500, 0.4500]))
     """
     refuse_parameter("racks", racks, "make a TendonRouting whose anchors are a Parameter")
     refuse_parameter("offset", offset, "make a TendonRouting whose offsets are a Parameter")
@@ -154,4 +164,4 @@ def rack_routing(
     around = torch.arange(per_rack, dtype=dtype, device=device) * (2.0 * pi / per_rack)
     turned = torch.arange(racks.shape[-1], dtype=dtype, device=device) * twist
     angles = (turned.unsqueeze(-1) + around).flatten()
-    return TendonRouting(angles, offset * torch.ones_like(angles), racks.repeat_interleave(per_rack), layout)
+    return TendonRouting(angles, offset * torch.ones_like(angles), racks.repeat_interleave(per_rack, dim=-1), layout)

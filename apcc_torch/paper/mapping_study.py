@@ -14,7 +14,6 @@ import torch
 from torch import Tensor
 
 from apcc_torch.composition.build import Builder
-from apcc_torch.composition.realtime import model_settings
 from apcc_torch.errors import ConfigError
 from apcc_torch.estimation.sensor_curve import SensorCurve
 from apcc_torch.experiments.realtime_run import LOG, settings_of
@@ -60,7 +59,7 @@ def curves(record: RobotLog) -> Run:
         DataError: The log lacks settings, measurements or control steps.
     """
     config = settings_of(record)
-    build = Builder(model_settings(config))
+    build = Builder(config)
     steps, frames = record.topic("/controller"), record.topic("/measurement")
     poses = {int(row["tick"]): row["poses"] for row in frames}
     T = torch.stack([torch.tensor(poses[int(tick)]).unflatten(-1, (-1, 4, 4)) for tick in steps["tick"]])

@@ -91,7 +91,7 @@ def parts(run: str, both: Mapping[str, Outcome], config: SimulateSettings) -> di
     """
     e = config.experiment
     held_out = held_out_rows(len(e.setpoints or ()), len(e.payloads))
-    found = {run + SINGLE: {name: o.rows([single_row(e.payloads)]) for name, o in both.items()}}
+    found = {run + SINGLE: {name: o.rows([single_row(list(e.payloads))]) for name, o in both.items()}}
     if held_out:
         found[run + HELD_OUT] = {name: o.rows(held_out) for name, o in both.items()}
     return found

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -11,7 +10,7 @@ import torch
 from torch import Tensor
 
 from apcc_torch.composition.build import Builder
-from apcc_torch.composition.realtime import RealtimeConfig, model_settings
+from apcc_torch.composition.realtime import RealtimeSettings
 from apcc_torch.errors import DataError
 from apcc_torch.estimation.sensor_curve import SensorCurve
 from apcc_torch.experiments.realtime_run import LOG, settings_of
@@ -37,7 +36,7 @@ class Motion(NamedTuple):
     orientation_ok: Tensor
 
 
-def motion(folder: Path) -> tuple[RealtimeConfig, Motion]:
+def motion(folder: Path) -> tuple[RealtimeSettings, Motion]:
     """A run's settings and what its sensors saw.
 
     Raises:
@@ -51,7 +50,7 @@ def motion(folder: Path) -> tuple[RealtimeConfig, Motion]:
     return settings_of(record), Motion(torch.tensor(rows["time"]), poses, *masks)
 
 
-def estimate(config: RealtimeConfig, seen: Motion) -> Estimates:
+def estimate(config: RealtimeSettings, seen: Motion) -> Estimates:
     """Algorithm 2 over a run, decoupled and not, from poses and from positions, each from its own last result.
 
     Raises:
@@ -59,12 +58,12 @@ def estimate(config: RealtimeConfig, seen: Motion) -> Estimates:
     """
     if config.ramp.estimate is None:
         raise DataError("ramp.estimate must be given in each run of experiment I")
-    cases = {"non-decoupled": config.robot.rest_lengths, "decoupled": config.ramp.estimate}
+    cases = {"non-decoupled": config.arm.lengths, "decoupled": config.ramp.estimate}
     pi_hat = torch.tensor(list(cases.values()), dtype=torch.float64)
     found: Estimates = {}
     for mode in MODES:
-        feedback = replace(config.feedback, mode=mode)
-        build = Builder(model_settings(replace(config, feedback=feedback, dtype="float64")))
+        feedback = config.feedback.changed(mode=mode)
+        build = Builder(config.changed(feedback=feedback, dtype="float64"))
         algorithm, backbone = build.controller().feedback, build.backbone()
         q = torch.zeros(len(cases), backbone.n, dtype=torch.float64)
         results = []
@@ -99,12 +98,12 @@ def study(folder: Path, runs: Sequence[str], figures: bool) -> dict[str, float]:
     for name in runs:
         config, seen = motion(folder / name)
         found[name] = estimate(config, seen)
-        build = Builder(model_settings(config))
+        build = Builder(config)
         curve = SensorCurve(build.base_rotation(), build.sensors_at(), samples=20)
         last[name] = curve(seen.T[-1]), seen.T[-1, :, :3, 3]
         table[name] = {
             "goal_m": config.ramp.goal,
-            "pi_m": config.robot.rest_lengths,
+            "pi_m": config.arm.lengths,
             "pi_hat_m": config.ramp.estimate,
             **{f"{case}, {mode}": numbers(e) for (case, mode), e in found[name].items()},
         }

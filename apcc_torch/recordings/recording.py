@@ -54,6 +54,13 @@ class Recording:
         actuators: What the actuators measured, shape (T, m), in their own unit.
         target: Target of the tip in m, shape (T, 3).
         source: The file it came from.
+
+    Example:
+        >>> place = torch.tensor([[0.0, 0.0, -0.2], [0.0, 0.0, -0.45]]).double().expand(50, 2, 3)
+        >>> turn = torch.tensor([1.0, 0.0, 0.0, 0.0]).double().expand(50, 2, 4)
+        >>> still = Recording(("middle", "tip"), torch.arange(50).double() / 100, place, turn, torch.ones(50, 2).bool())
+        >>> len(still), still.rotation[0, 1].diagonal()
+        (50, tensor([ 1., -1., -1.], dtype=torch.float64))
     """
 
     names: tuple[str, ...]
@@ -177,7 +184,12 @@ LAYOUTS: dict[str, Callable[[Path, float], Recording]] = {"columns": _load_colum
 
 
 def detect_layout(path: str | Path) -> str:
-    """ "trunk" for a trunk-stack file, or a folder that holds one; else "columns"."""
+    """ "trunk" for a trunk-stack file, or a folder that holds one; else "columns".
+
+    Example:
+        >>> detect_layout("run/observations_1.csv"), detect_layout("run/arm.csv")
+        ('trunk', 'columns')
+    """
     path = Path(path)
     names = [path.name, *(found.name for found in path.glob("observations_*.csv"))]
     return "trunk" if any(name.startswith("observations_") for name in names) else "columns"
@@ -194,6 +206,15 @@ def load_recording(path: str | Path, layout: str = "columns", rate: float = 100.
     Raises:
         ConfigError: `layout` or `rate` is not one there is.
         DataError: A file is missing or not in the layout; the sentence names the file, the column and the line.
+
+    Example:
+        >>> place = torch.tensor([[0.0, 0.0, -0.2], [0.0, 0.0, -0.45]]).double().expand(50, 2, 3)
+        >>> turn = torch.tensor([1.0, 0.0, 0.0, 0.0]).double().expand(50, 2, 4)
+        >>> still = Recording(("middle", "tip"), torch.arange(50).double() / 100, place, turn, torch.ones(50, 2).bool())
+        >>> with TemporaryDirectory() as folder:
+        ...     save_recording(still, Path(folder) / "still.csv")
+        ...     load_recording(Path(folder) / "still.csv").names
+        ('middle', 'tip')
     """
     if layout not in LAYOUTS:
         raise ConfigError(f"layout must be one of {', '.join(LAYOUTS)}, got {layout!r}")
@@ -211,6 +232,15 @@ def save_recording(recording: Recording, path: str | Path) -> None:
 
     Raises:
         DataError: A number is not finite, other than in the pose of a body that was not tracked.
+
+    Example:
+        >>> place = torch.tensor([[0.0, 0.0, -0.2], [0.0, 0.0, -0.45]]).double().expand(50, 2, 3)
+        >>> turn = torch.tensor([1.0, 0.0, 0.0, 0.0]).double().expand(50, 2, 4)
+        >>> still = Recording(("middle", "tip"), torch.arange(50).double() / 100, place, turn, torch.ones(50, 2).bool())
+        >>> with TemporaryDirectory() as folder:
+        ...     save_recording(still, Path(folder) / "still.csv")
+        ...     load_recording(Path(folder) / "still.csv").names
+        ('middle', 'tip')
     """
     pose = torch.cat((recording.position, recording.quaternion), dim=-1)
     bad = (~pose.isfinite().all(-1) & recording.tracked).nonzero()

@@ -11,7 +11,7 @@ from apcc_torch.control.controller import APCCController
 from apcc_torch.control.step_io import Measurement, Target
 from apcc_torch.errors import ConfigError, DataError, ShapeError, ValueRangeError
 from apcc_torch.estimation.feedback import Feedback
-from apcc_torch.estimation.rest_calibration import Calibration
+from apcc_torch.estimation.rest_calibration import RestCalibration
 from apcc_torch.estimation.savitzky_golay import SavitzkyGolay, SavitzkyGolayState
 from apcc_torch.estimation.sensor_gate import GateVerdict, SensorGate
 from apcc_torch.estimation.state_feedback import StateFeedback
@@ -40,7 +40,7 @@ class _Frames(NamedTuple):
 
 def _frames(
     recording: Recording,
-    calibration: Calibration,
+    calibration: RestCalibration,
     feedback: StateFeedback,
     gate: SensorGate,
     frames: slice,
@@ -73,7 +73,7 @@ def _frames(
 
 def replay(
     recording: Recording,
-    calibration: Calibration,
+    calibration: RestCalibration,
     estimator: StateFeedback | APCCController,
     gate: SensorGate,
     pi_hat: Tensor | None = None,
@@ -113,6 +113,15 @@ def replay(
         ShapeError, DtypeError: Arguments do not fit each other.
         ConfigError: `parallel` is asked of a controller, or it adapts and the recording has no target.
         DataError: The recording has no frames, none of use, or bodies that are not the calibration's.
+
+    Example:
+        >>> place = torch.tensor([[0.0, 0.0, -0.2], [0.0, 0.0, -0.45]]).double().expand(50, 2, 3)
+        >>> turn = torch.tensor([1.0, 0.0, 0.0, 0.0]).double().expand(50, 2, 4)
+        >>> still = Recording(("middle", "tip"), torch.arange(50).double() / 100, place, turn, torch.ones(50, 2).bool())
+        >>> arm = recorded_arm(still, direction=None, rest=50, base_position=[0.0, 0.0, 0.0])
+        >>> log = replay(still, arm.calibration, arm.feedback, arm.gate)
+        >>> log.q_bar.shape, bool((log.status == FeedbackStatus.CONVERGED).all())
+        (torch.Size([50, 6]), True)
     """
     controller: APCCController | None = None
     if isinstance(estimator, StateFeedback):
@@ -192,11 +201,11 @@ def _sweep(
 def _derivative(smooth: SavitzkyGolay, q_bar: Tensor, time: Tensor) -> Tensor:
     """What the filter would have returned frame by frame, (N, ..., n)."""
     first = smooth.initial_state(q_bar[0], time[0])
-    samples = torch.cat((first.samples.movedim(-2, 0)[1:], q_bar)).unfold(0, smooth.window, 1)  # (N, ..., n, window)
-    missing = torch.zeros(smooth.window - 1, dtype=torch.bool, device=time.device)
-    stamps = torch.cat((time[:1].expand(smooth.window - 1), time)).unfold(0, smooth.window, 1)
-    valid = torch.cat((missing, torch.ones_like(time, dtype=torch.bool))).unfold(0, smooth.window, 1)
-    per_frame = (len(time), *[1] * (q_bar.dim() - 2), smooth.window)
+    samples = torch.cat((first.samples.movedim(-2, 0)[1:], q_bar)).unfold(0, smooth.length, 1)  # (N, ..., n, window)
+    missing = torch.zeros(smooth.length - 1, dtype=torch.bool, device=time.device)
+    stamps = torch.cat((time[:1].expand(smooth.length - 1), time)).unfold(0, smooth.length, 1)
+    valid = torch.cat((missing, torch.ones_like(time, dtype=torch.bool))).unfold(0, smooth.length, 1)
+    per_frame = (len(time), *[1] * (q_bar.dim() - 2), smooth.length)
     state = SavitzkyGolayState(samples.mT, stamps.reshape(per_frame), valid.reshape(per_frame))
     return smooth.evaluate(state).derivative
 
@@ -204,7 +213,7 @@ def _derivative(smooth: SavitzkyGolay, q_bar: Tensor, time: Tensor) -> Tensor:
 def _target(
     position: Tensor,
     recording: Recording,
-    calibration: Calibration,
+    calibration: RestCalibration,
     backbone: KinematicModel,
     frames: slice,
     like: Tensor,
@@ -244,7 +253,7 @@ def _run(
 
 def held_out_error(
     recording: Recording,
-    calibration: Calibration,
+    calibration: RestCalibration,
     feedback: StateFeedback,
     gate: SensorGate,
     frames: slice = slice(None),
@@ -266,6 +275,15 @@ def held_out_error(
     Raises:
         ValueRangeError: There is a single sensor.
         ApccError: As `replay`.
+
+    Example:
+        >>> place = torch.tensor([[0.0, 0.0, -0.2], [0.0, 0.0, -0.45]]).double().expand(50, 2, 3)
+        >>> turn = torch.tensor([1.0, 0.0, 0.0, 0.0]).double().expand(50, 2, 4)
+        >>> still = Recording(("middle", "tip"), torch.arange(50).double() / 100, place, turn, torch.ones(50, 2).bool())
+        >>> arm = recorded_arm(still, direction=None, rest=50, base_position=[0.0, 0.0, 0.0])
+        >>> errors = held_out_error(still, arm.calibration, arm.feedback, arm.gate)
+        >>> bool(errors.linear.nanmean() < 1e-4)
+        True
     """
     X = calibration.abscissae
     k = len(X)

@@ -111,6 +111,15 @@ def replay_metrics(
 
     Raises:
         ShapeError: The log has more than one row, or `names` is not one a sensor.
+
+    Example:
+        >>> place = torch.tensor([[0.0, 0.0, -0.2], [0.0, 0.0, -0.45]]).double().expand(50, 2, 3)
+        >>> turn = torch.tensor([1.0, 0.0, 0.0, 0.0]).double().expand(50, 2, 4)
+        >>> still = Recording(("middle", "tip"), torch.arange(50).double() / 100, place, turn, torch.ones(50, 2).bool())
+        >>> arm = recorded_arm(still, direction=None, rest=50, base_position=[0.0, 0.0, 0.0])
+        >>> log = replay(still, arm.calibration, arm.feedback, arm.gate)
+        >>> replay_metrics(log, still.names, arm.feedback)["converged_frames"]
+        50
     """
     if log.q_bar.dim() != 2:
         raise ShapeError(f"log must have a single row, q_bar of shape (N, n), got {tuple(log.q_bar.shape)}")
@@ -154,6 +163,16 @@ def write_replay(folder: str | Path, log: ReplayLog) -> Path:
 
     Returns:
         The file.
+
+    Example:
+        >>> place = torch.tensor([[0.0, 0.0, -0.2], [0.0, 0.0, -0.45]]).double().expand(50, 2, 3)
+        >>> turn = torch.tensor([1.0, 0.0, 0.0, 0.0]).double().expand(50, 2, 4)
+        >>> still = Recording(("middle", "tip"), torch.arange(50).double() / 100, place, turn, torch.ones(50, 2).bool())
+        >>> arm = recorded_arm(still, direction=None, rest=50, base_position=[0.0, 0.0, 0.0])
+        >>> log = replay(still, arm.calibration, arm.feedback, arm.gate)
+        >>> with TemporaryDirectory() as folder:
+        ...     read_replay(write_replay(folder, log).parent).q_bar.equal(log.q_bar)
+        True
     """
     return write_arrays(Path(folder) / "replay.npz", log._asdict())
 
@@ -163,6 +182,16 @@ def read_replay(folder: str | Path) -> ReplayLog:
 
     Raises:
         DataError: The file is missing, damaged, or lacks a field.
+
+    Example:
+        >>> place = torch.tensor([[0.0, 0.0, -0.2], [0.0, 0.0, -0.45]]).double().expand(50, 2, 3)
+        >>> turn = torch.tensor([1.0, 0.0, 0.0, 0.0]).double().expand(50, 2, 4)
+        >>> still = Recording(("middle", "tip"), torch.arange(50).double() / 100, place, turn, torch.ones(50, 2).bool())
+        >>> arm = recorded_arm(still, direction=None, rest=50, base_position=[0.0, 0.0, 0.0])
+        >>> log = replay(still, arm.calibration, arm.feedback, arm.gate)
+        >>> with TemporaryDirectory() as folder:
+        ...     read_replay(write_replay(folder, log).parent).q_bar.equal(log.q_bar)
+        True
     """
     path = Path(folder) / "replay.npz"
     try:

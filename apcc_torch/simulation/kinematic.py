@@ -60,6 +60,12 @@ def start_configuration(
 
     Raises:
         ValueRangeError: Some x is not reached to 1 micrometre.
+
+    Example:
+        >>> backbone, L0 = PCCBackbone(2), torch.tensor([0.2, 0.25]).double()
+        >>> q = start_configuration(backbone, L0, torch.tensor([0.1, 0.05, 0.4]).double())
+        >>> backbone.tip(q, L0)
+        tensor([0.1000, 0.0500, 0.4000], dtype=torch.float64)
     """
     batch = torch.broadcast_shapes(L0.shape[:-1], x.shape[:-1])
     q = torch.zeros(*batch, backbone.n, dtype=L0.dtype, device=L0.device) if q is None else q
@@ -241,6 +247,15 @@ def simulate_exact(
         progress: Wraps the step counter, for a progress bar.
         compile: How a step is run, one of `native.compiled.MODES`; compiled code has no gradients.
         checkpointed: See `rollout`.
+
+    Example:
+        >>> arm = Arm(lengths=[0.2, 0.25])
+        >>> controller = APCCController.for_arm(arm, residual=None)
+        >>> target = SetPoint(torch.tensor([0.05, 0.0, -0.44]).double())
+        >>> true, first = arm.rest_lengths(), 1.1 * arm.rest_lengths()
+        >>> log = simulate_exact(controller, true, first, target, duration=0.2, rate=100.0)
+        >>> log.q_true.shape, bool((log.x - log.x_d).norm(dim=-1).max() < 1e-3)
+        (torch.Size([21, 6]), True)
     """
     pi, pi_hat = torch.broadcast_tensors(pi, pi_hat)
     loop = ExactLoop(controller, pi, trajectory, 1.0 / rate)
@@ -272,6 +287,15 @@ def simulate_feedback(
         progress: Wraps the step counter, for a progress bar.
         compile: How a step is run, one of `native.compiled.MODES`; compiled code has no gradients.
         checkpointed: See `rollout`.
+
+    Example:
+        >>> arm = Arm(lengths=[0.2, 0.25])
+        >>> controller = APCCController.for_arm(arm, residual=None)
+        >>> target = SetPoint(torch.tensor([0.05, 0.0, -0.44]).double())
+        >>> true, first = arm.rest_lengths(), 1.1 * arm.rest_lengths()
+        >>> log = simulate_feedback(controller, true, first, target, duration=1.0, rate=50.0)
+        >>> log.pi_hat.shape, bool((log.x - log.x_d)[-1].norm() < 1e-3)
+        (torch.Size([51, 2]), True)
     """
     pi, pi_hat = torch.broadcast_tensors(pi, pi_hat)
     loop = FeedbackLoop(controller, pi, trajectory, 1.0 / rate)

@@ -136,6 +136,11 @@ class Plant(Part):
         settings = self.settings.changed(**rest)
         return type(self)(self.dynamics, self.routing, loose, self.payload, settings, transmission=self.transmission)
 
+    def tensions(self, now: PlantState, reference: TendonReference) -> Tensor:
+        """What the motors feel (..., n_a), N; a tendon that may be slack does not push."""
+        u = self.forces(now.arm, now.z, reference)
+        return torch.relu(-u) if self.transmission is not None and self.transmission.slack else -u
+
     def stepper(self, dt: float, compile: str) -> Step:
         """Steps of dt seconds as (state, reference) -> state, run as `native.compiled` says."""
         step = PlantStep(self, dt)

@@ -7,23 +7,20 @@ import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from types import ModuleType
 from typing import Any, NamedTuple
 
 import numpy as np
 import torch
 
+from apcc_torch.composition.run_settings import SimulateSettings
 from apcc_torch.composition.schema import text
 from apcc_torch.composition.stacking import Point, stacked
 from apcc_torch.errors import ApccError
-from apcc_torch.experiments import dynamic, kinematic
 from apcc_torch.experiments.folder import RunFolder
+from apcc_torch.experiments.kinds import BATCHED, kind_of
 from apcc_torch.experiments.run import objective_value
 from apcc_torch.files import write_atomically, write_json
 from apcc_torch.simulation.progress import Progress
-
-KINDS: dict[str, ModuleType] = {"dynamic": dynamic, "kinematic": kinematic}
-"""Experiments whose runs can share a tensor batch."""
 
 Tell = Callable[[float], None]
 """Told how many more points, in parts, are done."""
@@ -83,7 +80,7 @@ def compute(task: Task, tell: Tell) -> None:
 def _compute(task: Task, points: Sequence[Point], part: ChunkResult, held: dict[int, Any], tell: Tell) -> None:
     """Runs points side by side. Where one of them is refused, each half on its own: only that one is lost."""
     started = time.perf_counter()
-    kind = KINDS[points[0].config.experiment.kind]
+    kind = kind_of(points[0].config, BATCHED)
     try:
         outcome = kind.simulate(
             stacked([point.config for point in points]), points=len(points), progress=_steps(len(points), tell)
@@ -129,13 +126,13 @@ def _steps(points: int, tell: Tell) -> Progress:
 def save(point: Point, outcome: Any, metrics: Mapping[str, float], folder: Path) -> None:
     """Writes a point's run folder, without figures."""
     write_atomically(folder / "config.yaml", text(point.config))
-    arrays = KINDS[point.config.experiment.kind].arrays(outcome)
+    arrays = kind_of(point.config, BATCHED).arrays(outcome)
     RunFolder(folder).write(metrics, arrays, point.config.seed)
 
 
-def draw(config: Any, folder: Path) -> None:
+def draw(config: SimulateSettings, folder: Path) -> None:
     """The figures of a run folder that `save` wrote."""
-    kind = KINDS[config.experiment.kind]
+    kind = kind_of(config, BATCHED)
     with np.load(folder / "trajectory.npz") as data:
         tensors = {name: torch.from_numpy(data[name]) for name in data.files}
     kind.draw(kind.loaded(config, tensors), folder / "figures")

@@ -5,9 +5,8 @@ from __future__ import annotations
 import itertools
 import json
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
 from typing import Any, NamedTuple
 
 from hydra import compose
@@ -19,9 +18,10 @@ from omegaconf import DictConfig, ListConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from apcc_torch.composition.run_settings import SimulateSettings
-from apcc_torch.composition.schema import typed
+from apcc_torch.composition.schema import values_of
 from apcc_torch.composition.stacking import Point
 from apcc_torch.errors import ConfigError
+from apcc_torch.reading import read
 
 FLAG = "--batch"
 """On the command line: the sweeps after it are rows of one tensor batch."""
@@ -59,7 +59,7 @@ def with_batch(arguments: Sequence[str]) -> list[str]:
         given = [a for a in after if "=" in a and not a.startswith("-")]
         swept = [a for a in given if parser.parse_override(a).is_sweep_override()]
     if not swept:
-        raise ConfigError(f"{FLAG} needs a sweep after it, such as controller.gamma=10,20,40")
+        raise ConfigError(f"{FLAG} needs a sweep after it, such as adaptation.gamma=10,20,40")
     kept = [argument for argument in after if argument not in swept]
     return [*arguments[:at], *kept, f"batch=[{','.join(map(_quoted, swept))}]"]
 
@@ -75,12 +75,28 @@ def batch_points(cfg: DictConfig, overrides: Sequence[str], config_name: str) ->
         config_name: The root configuration.
 
     Raises:
-        ConfigError: An override has no meaning, or a point's settings are missing or of the wrong type.
+        ConfigError, ValueRangeError: An override or a point's settings have no meaning.
     """
-    axes = [_choices(cfg, override) for override in _parsed(cfg.batch)]
-    if not axes:
-        raise ConfigError("batch must hold at least one sweep, such as controller.gamma=10,20,40")
+    swept = _parsed(cfg.batch)
+    if not swept:
+        raise ConfigError("batch must hold at least one sweep, such as adaptation.gamma=10,20,40")
     ours = [override for override in overrides if override.partition("=")[0].lstrip("+") != "batch"]
+    return points_of(cfg, ours, config_name, swept)
+
+
+def points_of(cfg: DictConfig, ours: Sequence[str], config_name: str, swept: Iterable[Override]) -> list[Point]:
+    """The points of sweeps, as `batch_points`.
+
+    Args:
+        cfg: What hydra composed.
+        ours: The command line that it composed it from, without the sweeps.
+        config_name: The root configuration.
+        swept: The sweeps.
+
+    Raises:
+        ConfigError, ValueRangeError: An override or a point's settings have no meaning.
+    """
+    axes = [_choices(cfg, override) for override in swept]
     bases: dict[tuple[str, ...], _Base] = {}
     points = []
     for index, chosen in enumerate(itertools.product(*axes)):
@@ -94,49 +110,37 @@ def batch_points(cfg: DictConfig, overrides: Sequence[str], config_name: str) ->
 
 
 class _Base:
-    """A composed configuration, and copies of it in which keys are changed; each change is checked once."""
+    """A composed configuration, and its settings with keys changed."""
 
     def __init__(self, cfg: DictConfig) -> None:
         self.cfg = cfg
-        self.config = self._typed(cfg)
+        self.values = values_of(cfg)
         # Where values refer to others, a change may reach further than its own key.
-        self.linked = "${" in OmegaConf.to_yaml(OmegaConf.masked_copy(cfg, [str(key) for key in cfg if key != "hydra"]))
-        self.known: dict[str, Any] = {}
+        self.linked = "${" in OmegaConf.to_yaml(OmegaConf.masked_copy(cfg, list(self.values)))
 
     def changed(self, choices: Sequence[Choice]) -> SimulateSettings:
-        if self.linked or any(choice.key.count(".") > 1 for choice in choices):
-            return self._updated(choices)
-        config = self.config
-        for choice in choices:
-            if choice.override not in self.known:
-                self.known[choice.override] = _at(self._updated([choice]), choice.key)
-            config = _with(config, choice.key, self.known[choice.override])
-        return config
-
-    def _updated(self, choices: Sequence[Choice]) -> SimulateSettings:
-        cfg = self.cfg.copy()
-        for choice in choices:
-            OmegaConf.update(cfg, choice.key, choice.value, merge=True)
-        return self._typed(cfg)
-
-    @staticmethod
-    def _typed(cfg: DictConfig) -> SimulateSettings:
-        return replace(typed(cfg, SimulateSettings), batch=None)
+        if self.linked:
+            cfg = self.cfg.copy()
+            for choice in choices:
+                OmegaConf.update(cfg, choice.key, choice.value, merge=True)
+            values = values_of(cfg)
+        else:
+            values = self.values
+            for choice in choices:
+                values = _merged(values, choice.key.split("."), choice.value)
+        return read({**values, "batch": None}, SimulateSettings)
 
 
-def _at(config: SimulateSettings, key: str) -> Any:
-    value: Any = config
-    for name in key.split("."):
-        value = getattr(value, name)
-    return value
-
-
-def _with(config: SimulateSettings, key: str, value: Any) -> SimulateSettings:
-    section, _, name = key.rpartition(".")
-    if not section:
-        return replace(config, **{name: value})
-    part = getattr(config, section)
-    return replace(config, **{section: replace(part, **{name: value})})
+def _merged(values: Any, path: Sequence[str], value: Any) -> Any:
+    """A copy of nested mappings in which the value at a path is another; two mappings become one."""
+    there = dict(values) if isinstance(values, Mapping) else {}
+    if path:
+        return there | {path[0]: _merged(there.get(path[0]), path[1:], value)}
+    if not isinstance(value, Mapping):
+        return value
+    for name, entry in value.items():
+        there[str(name)] = _merged(there.get(str(name)), (), entry)
+    return there
 
 
 def _parsed(batch: object) -> list[Override]:

@@ -24,11 +24,11 @@ from apcc_torch.composition.run_settings import SimulateSettings
 from apcc_torch.composition.stacking import Point, structure
 from apcc_torch.errors import ConfigError
 from apcc_torch.experiments.folder import progress_bar, versions
+from apcc_torch.experiments.kinds import BATCHED, kind_of
 from apcc_torch.experiments.run import METRICS
 from apcc_torch.files import write_atomically, write_json
 from apcc_torch.reading import plain
-from apcc_torch.settings import check_choice
-from apcc_torch.sweeps.batch_chunk import KINDS, ChunkResult, Task, chosen, compute, draw, is_finite, rank, read_part
+from apcc_torch.sweeps.batch_chunk import ChunkResult, Task, chosen, compute, draw, is_finite, rank, read_part
 
 log = logging.getLogger("apcc_torch.simulate")
 
@@ -102,8 +102,7 @@ def run(config: SimulateSettings, points: Sequence[Point], folder: Path) -> dict
 
 def _check(config: SimulateSettings, points: Sequence[Point]) -> None:
     for point in points:
-        if point.config.experiment.kind not in KINDS:
-            check_choice("experiment.kind of a batch", point.config.experiment.kind, tuple(KINDS))
+        kind_of(point.config, BATCHED, "experiment.kind of a batch")
     if config.prune.after is not None:
         raise ConfigError("prune.after ends runs one by one, and a batch has none; leave it null")
 
@@ -128,7 +127,7 @@ def point_mib(config: SimulateSettings) -> tuple[int, float]:
         rows = 1 + e.start_errors
     else:
         rows = len(e.setpoints or [None]) * len(e.payloads)
-        numbers += model.n + 3 * config.arm.n_sections * config.plant.refine + 3 * config.arm.n_tendons  # type: ignore[attr-defined]
+        numbers += model.n + 3 * config.arm.n_sections * config.plant.refine + 3 * config.arm.n_tendons
     steps = round(e.duration * config.controller.rate) + 1
     window = config.velocity_filter.window
     filtered = 4 * int(torch.as_tensor(window).max()) * model.n // 3

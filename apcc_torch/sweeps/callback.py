@@ -15,13 +15,15 @@ from typing import Any, ClassVar
 
 from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
 from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.core.override_parser.types import Override
 from hydra.experimental.callback import Callback
 from omegaconf import DictConfig, OmegaConf, open_dict, read_write
 
-from apcc_torch.composition.conf_path import conf_path
+from apcc_torch.conf_path import conf_path
 from apcc_torch.errors import ApccError, ConfigError
 from apcc_torch.experiments.run import PRUNED, objective_in
 from apcc_torch.sweeps.bars import SweepBars
+from apcc_torch.sweeps.batch_points import points_of
 from apcc_torch.sweeps.sweep_folder import JOB, NOT_THE_RUN, SweepFolder, read_record
 
 log = logging.getLogger("apcc_torch.simulate")
@@ -60,16 +62,30 @@ class Plan:
 
 def planned(config: DictConfig) -> Plan:
     """The jobs that hydra's sweeper will make of the command line and the chosen sweep."""
-    sweeper = config.hydra.sweeper
-    params = [f"{key}={value}" for key, value in (sweeper.get("params") or {}).items()]
-    overrides = OverridesParser.create().parse_overrides([*params, *config.hydra.overrides.task])
-    last = {o.get_key_element().lstrip("+~"): o for o in overrides}
-    keys = frozenset(key for key, override in last.items() if override.is_sweep_override())
-    trials = sweeper.get("n_trials")
+    overrides, swept = _sweeps(config)
+    keys = frozenset(swept)
+    trials = config.hydra.sweeper.get("n_trials")
     if trials is not None:
         return Plan(int(trials), keys, None)
     jobs = [job for batch in BasicSweeper.split_arguments(overrides, None) for job in batch]
     return Plan(len(jobs), keys, jobs)
+
+
+def _sweeps(config: DictConfig) -> tuple[list[Override], dict[str, Override]]:
+    """The overrides of the command line and the chosen sweep, and the sweeps among them by what they sweep."""
+    params = [f"{key}={value}" for key, value in (config.hydra.sweeper.get("params") or {}).items()]
+    overrides = OverridesParser.create().parse_overrides([*params, *config.hydra.overrides.task])
+    last = {override.get_key_element().lstrip("+~"): override for override in overrides}
+    return overrides, {key: override for key, override in last.items() if override.is_sweep_override()}
+
+
+def check_jobs(config: DictConfig) -> None:
+    """Raises ConfigError or ValueRangeError where a job's settings have no meaning; a search draws its own."""
+    overrides, swept = _sweeps(config)
+    if config.hydra.sweeper.get("n_trials") is not None or any(key.startswith("hydra") for key in swept):
+        return
+    fixed = [o.input_line for o in overrides if o.get_key_element().lstrip("+~") not in swept]
+    points_of(config, [str(line) for line in fixed], str(config.hydra.job.config_name), swept.values())
 
 
 def check_installed(target: str) -> None:
@@ -190,6 +206,7 @@ class Sweep(Callback):
             side_by_side(config)
             for plugin in (config.hydra.launcher, config.hydra.sweeper):
                 check_installed(str(plugin._target_))
+            check_jobs(config)
             folder = SweepFolder(make_absolute(config))
             prepare(folder, config)
         except ApccError as error:

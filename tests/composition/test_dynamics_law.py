@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-import dataclasses
-
 import pytest
 import torch
 
 from apcc_torch.composition.build import Builder
 from apcc_torch.composition.dynamics_law import true_parameters, with_dynamics
-from apcc_torch.composition.schema import DynamicsLawConfig
-from apcc_torch.control.composite_controller import CompositeController
+from apcc_torch.control.composite_controller import CompositeController, CompositeControllerSettings
 from apcc_torch.errors import ApccError, ConfigError
 from apcc_torch.model.dynamics_regressor import PARAMETERS
-from composed import changed, composed, raw
+from composed import changed, composed
 
 COMPOSITE = "dynamic_run_2_composite"
 
@@ -28,15 +25,14 @@ def made(*changes: str, experiment: str = COMPOSITE) -> CompositeController:
 def test_without_a_law_the_controller_is_handed_back() -> None:
     build = Builder(changed("dynamic_run_2"))
     plain = build.controller()
-    assert build.config.dynamics_law.kind == "none" and with_dynamics(build, plain) is plain
+    assert changed("dynamic_run_2").dynamics_law is None and with_dynamics(build, plain) is plain
 
 
-@pytest.mark.parametrize("kind", ["none", "feedforward", "composite"])
-def test_a_choice_changes_the_kind_alone_and_agrees_with_the_schema(kind: str) -> None:
-    chosen = composed("experiment=dynamic_run_2", f"dynamics_law={kind}").dynamics_law
-    assert chosen == DynamicsLawConfig(kind=kind)
-    keys = {field.name for field in dataclasses.fields(DynamicsLawConfig)}
-    assert set(raw("experiment=dynamic_run_2", f"dynamics_law={kind}").dynamics_law) == keys
+@pytest.mark.parametrize(("choice", "adapts"), [("feedforward", False), ("composite", True)])
+def test_a_choice_says_whether_it_adapts_and_nothing_else(choice: str, adapts: bool) -> None:
+    chosen = composed("experiment=dynamic_run_2", f"dynamics_law={choice}").dynamics_law
+    assert chosen == CompositeController.settings_type(adapts=adapts)
+    assert isinstance(chosen, CompositeControllerSettings)
 
 
 def test_the_law_takes_its_settings() -> None:
@@ -49,20 +45,20 @@ def test_the_law_takes_its_settings() -> None:
     assert c.law.deviation.tolist() == [0.02, 3.0, 50.0, 0.3, 0.2] and c.law.upper.tolist() == [1, 99, 999, 0.6, 2]
     assert (c.law.memory, c.law.tracking_gain, c.law.prediction) == (3.0, 2.0, False)
     assert (c.stiffness, c.force_limit, c.dynamics.damping_ratio) == (0.5, 60.0, 0.2)
-    assert c.kinematic.adaptive and c.kinematic.residual_law is not None
+    assert c.kinematic.adaptive and len(c.kinematic.laws) == 1
 
 
 def test_a_feed_forward_moves_nothing() -> None:
-    c = made("dynamics_law.kind=feedforward")
+    c = made("dynamics_law.adapts=false")
     assert c.law.deviation.tolist() == [0.0] * 5 and not c.law.prediction and c.law.tracking_gain == 0.0
 
 
 def test_what_the_plant_is() -> None:
     payload = torch.tensor([0.0, 0.5], dtype=torch.float64)
-    true = true_parameters(Builder(changed(COMPOSITE, "plant.bending_stiffness=0.5", "plant.mass=1.2")), payload)
+    true = true_parameters(Builder(changed(COMPOSITE, "plant.arm.bending_stiffness=0.5", "arm.mass=1.2")), payload)
     want = torch.tensor([[0.05, 10.0, 200.0, 0.0, 1.2], [0.05, 10.0, 200.0, 0.5, 1.2]], dtype=torch.float64)
     torch.testing.assert_close(true, want)
-    literal = true_parameters(Builder(changed(COMPOSITE, "plant.stiffness_rule=proportional")), payload)
+    literal = true_parameters(Builder(changed(COMPOSITE, "arm.stiffness_rule=proportional")), payload)
     assert bool(literal[:, :2].isnan().all()) and literal[:, PARAMETERS.index("payload")].tolist() == [0.0, 0.5]
 
 
@@ -70,11 +66,12 @@ def test_what_the_plant_is() -> None:
     ("change", "named"),
     [
         ("dynamics_law.kind=both", "dynamics_law.kind"),
-        ("dynamics_law.upper=[1,2]", "dynamics_law.upper"),
-        ("dynamics_law.payload_deviation=-1", "deviation"),
-        ("dynamics_law.payload=-1", "nominal"),
-        ("dynamics_law.memory=0", "memory"),
-        ("dynamics_law.stiffness=-1", "stiffness"),
+        ("dynamics_law.kind=apcc_torch.simulation.plant.Plant", "must be a CompositeController"),
+        ("dynamics_law.payload_deviation=-1", "dynamics_law.payload_deviation"),
+        ("dynamics_law.payload=-1", "dynamics_law.payload"),
+        ("dynamics_law.memory=0", "dynamics_law.memory"),
+        ("dynamics_law.stiffness=-1", "dynamics_law.stiffness"),
+        ("dynamics_law.upper=[1,2]", "upper"),
     ],
 )
 def test_a_setting_without_meaning_is_named(change: str, named: str) -> None:

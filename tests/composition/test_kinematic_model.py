@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
+import sys
+
 import pytest
 import torch
 
 from apcc_torch.composition.build import Builder
-from apcc_torch.composition.kinematic_model import kinematic_model
 from apcc_torch.errors import ConfigError
 from apcc_torch.model.affine import AffineBackbone
 from apcc_torch.model.backbone import PCCBackbone
 from apcc_torch.model.constant_strain import ConstantStrainBackbone
 from composed import composed
-
-BASE = torch.eye(3, dtype=torch.float64)
 
 
 @pytest.mark.parametrize(
@@ -28,9 +27,9 @@ def test_the_shipped_models_reach_the_whole_controller(name: str, kind: type, n:
 
 
 def test_their_settings() -> None:
-    affine = Builder(composed("experiment=kinematic", "model=affine", "model.settings.rods=2")).backbone()
+    affine = Builder(composed("experiment=kinematic", "model=affine", "model.rods=2")).backbone()
     assert isinstance(affine, AffineBackbone) and affine.rods == 2
-    strains = "model.settings.strains=[[elongation],[bend_x,elongation],[elongation]]"
+    strains = "model.strains=[[elongation],[bend_x,elongation],[elongation]]"
     mixed = Builder(composed("experiment=kinematic", "model=constant_strain", strains)).backbone()
     assert mixed.coordinates.names(4) == ["elongation 1", "bend x 2", "elongation 2", "elongation 3"]
 
@@ -40,19 +39,29 @@ class OneRod(AffineBackbone):
 
 
 def test_a_model_of_ones_own() -> None:
-    assert type(kinematic_model(f"{__name__}.OneRod", 2, BASE, {"rods": 1})) is OneRod
+    own = f"{OneRod.__module__}.OneRod"
+    assert sys.modules[OneRod.__module__].OneRod is OneRod
+    backbone = Builder(composed("experiment=kinematic", "model=custom", f"model.kind={own}", "model.rods=1")).backbone()
+    assert type(backbone) is OneRod and backbone.rods == 1
+    torch.testing.assert_close(backbone.base_rotation, torch.diag(torch.tensor([1.0, -1.0, -1.0]).double()))
 
 
 @pytest.mark.parametrize(
-    ("kind", "settings", "message"),
+    ("kind", "changes", "message"),
     [
-        ("affine", {}, "model.kind must be a class, as package.module.Class"),
-        ("apcc_torch.model.nothing.Model", {}, "No module named"),
-        ("apcc_torch.model.affine.Nothing", {}, "has no attribute"),
-        ("torch.nn.Linear", {}, "model.kind must be a KinematicModel"),
-        ("apcc_torch.model.affine.AffineBackbone", {"steps": 3}, "model.settings do not fit .*steps"),
+        ("affine", (), "model.kind must be a class, as package.module.Class"),
+        ("apcc_torch.model.nothing.Model", (), "No module named"),
+        ("apcc_torch.model.affine.Nothing", (), "has no attribute"),
+        ("torch.nn.Linear", (), "model.kind must be a KinematicModel"),
+        ("apcc_torch.model.affine.AffineBackbone", ("model.rod=3",), "model.rod is no setting; did you mean rods"),
+        ("apcc_torch.model.backbone.PCCBackbone", ("model.rods=3",), "model.rods is no setting; it has none"),
     ],
 )
-def test_bad_models_are_named(kind: str, settings: dict[str, int], message: str) -> None:
+def test_bad_models_are_named(kind: str, changes: tuple[str, ...], message: str) -> None:
     with pytest.raises(ConfigError, match=message):
-        kinematic_model(kind, 2, BASE, settings)
+        composed("experiment=kinematic", "model=custom", f"model.kind={kind}", *changes)
+
+
+def test_a_class_of_ones_own_must_be_named() -> None:
+    with pytest.raises(ConfigError, match=r"model.kind must be a class, as package.module.Class, got"):
+        composed("experiment=kinematic", "model=custom")

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 import torch
+from apcc_torch.composition.typed import typed
 from hydra import compose, initialize_config_dir
 from hypothesis import given
 from hypothesis import strategies as st
@@ -15,9 +16,8 @@ from hypothesis import strategies as st
 from apcc_torch.benchmark import compose_pairs, experiment
 from apcc_torch.composition.benchmark import BenchmarkConfig, GridConfig
 from apcc_torch.composition.build import Builder
-from apcc_torch.composition.conf_path import conf_path
 from apcc_torch.composition.schema import SimulateConfig
-from apcc_torch.composition.typed import typed
+from apcc_torch.conf_path import conf_path
 from apcc_torch.errors import ConfigError
 from apcc_torch.experiments.dynamic import simulate
 from apcc_torch.paper.benchmark_run import Pair, check_pair, on_grid, run, simulate_all

@@ -10,9 +10,9 @@ from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from omegaconf import OmegaConf
 
-from apcc_torch.composition.batch import Point
-from apcc_torch.composition.conf_path import conf_path
-from apcc_torch.errors import ConfigError
+from apcc_torch.composition.stacking import Point
+from apcc_torch.conf_path import conf_path
+from apcc_torch.errors import ApccError, ConfigError
 from apcc_torch.sweeps.batch_points import batch_points, with_batch
 from composed import composed
 
@@ -37,10 +37,12 @@ def jobs(*swept: str) -> list[list[str]]:
     "swept",
     [
         ["velocity_filter.window=5,15,45", "adaptation.gain_scale=0.1,0.3,1"],
-        ["controller.gamma=[9,5,4],[90,42.5,35]", "velocity_filter.window=range(5,20,5)"],
+        ["adaptation.gamma=[9,5,4],[90,42.5,35],7", "velocity_filter.window=range(5,20,5)"],
         ["adaptation=kinematic,partial", "controller.K=1,2", "state=feedback,exact"],
-        ["robot=arm_1,arm_2", "adaptation.lower=null,[0.1,0.1,0.1]", "seed=shuffle(range(3))", "figures=true,false"],
+        ["arm=arm_1,arm_2", "bounds.lower=null,[0.1,0.1,0.1]", "seed=shuffle(range(3))", "figures=true,false"],
         ["feedback=position,pose", "feedback.angular_weight=0.1,0.2", "++adaptation.rate=0.1,0.2"],
+        ["plant.pid.K_P=500,700", "plant.arm.mass=1,1.2", "integral.gain=1,2", "residual=none,bank"],
+        ["residual=bank,curve", "adaptation=none,normalised", "bounds={lower:0.5,upper:2},{upper:1.5}"],
     ],
 )
 def test_a_point_is_the_job_of_its_number(swept: list[str]) -> None:
@@ -59,9 +61,9 @@ def test_a_point_is_the_job_of_its_number(swept: list[str]) -> None:
 
 
 def test_one_text_is_the_same_as_a_list() -> None:
-    text = "controller.gamma=[9, 5, 4],[1, 2, 3] velocity_filter.window=5,15"
-    assert points(text) == points(["controller.gamma=[9,5,4],[1,2,3]", "velocity_filter.window=5,15"])
-    assert points(text)[0].settings == {"controller.gamma": "[9, 5, 4]", "velocity_filter.window": "5"}
+    text = "adaptation.gamma=[9, 5, 4],[1, 2, 3] velocity_filter.window=5,15"
+    assert points(text) == points(["adaptation.gamma=[9,5,4],[1,2,3]", "velocity_filter.window=5,15"])
+    assert points(text)[0].settings == {"adaptation.gamma": "[9, 5, 4]", "velocity_filter.window": "5"}
 
 
 def test_a_fixed_value_among_sweeps_is_one_choice() -> None:
@@ -76,18 +78,21 @@ def test_points_of_a_batch_are_no_batches() -> None:
 @pytest.mark.parametrize(
     ("batch", "named"),
     [
-        (["controller.k=1,2"], "k"),
+        (["controller.gian=1,2"], "controller.gian is no setting"),
+        (["gain=1,2"], "gain is no setting"),
+        (["controller.K=1,-1", "velocity_filter.window=5,0"], "velocity_filter.window must be"),
+        (["residual=none,bank", "residual.rate=1,2"], "residual.rate is read by nothing"),
         (["controller.rate=fast,slow"], "fast"),
         (["controller.K=interval(1,2)"], "interval"),
         (["hydra.job.name=a,b"], "hydra"),
-        (["robot=arm_1,arm_9"], "arm_9"),
+        (["arm=arm_1,arm_9"], "arm_9"),
         (["controller.K=1,,2"], "batch"),
         ([], "batch"),
         (["velocity_filter.window=5,wide"], "wide"),
     ],
 )
 def test_what_has_no_meaning_is_named(batch: list[str], named: str) -> None:
-    with pytest.raises(ConfigError, match=named) as caught:
+    with pytest.raises(ApccError, match=named) as caught:
         points(batch)
     assert "\n" not in str(caught.value)
 
@@ -105,7 +110,7 @@ def read_back(arguments: Sequence[str]) -> object:
 def test_the_flag_turns_the_sweeps_after_it_into_a_batch() -> None:
     line = [
         "-m",
-        "robot=arm_1,arm_2",
+        "arm=arm_1,arm_2",
         "--batch",
         "experiment=kinematic",
         "controller.K=1,2",
@@ -114,13 +119,13 @@ def test_the_flag_turns_the_sweeps_after_it_into_a_batch() -> None:
         "x",
     ]
     made = with_batch(line)
-    assert made[:-1] == ["-m", "robot=arm_1,arm_2", "experiment=kinematic", "-cd", "x"]
+    assert made[:-1] == ["-m", "arm=arm_1,arm_2", "experiment=kinematic", "-cd", "x"]
     assert read_back(made) == ["controller.K=1,2", "seed=range(3)"]
     assert with_batch(line[:2]) == line[:2]
 
 
 @pytest.mark.parametrize(
-    "sweep", ["data='a b','c\"d'", 'data="x,y",z', "controller.gamma=[1,2,3],[4,5,6]", "data='a\\\\',b"]
+    "sweep", ["data='a b','c\"d'", 'data="x,y",z', "adaptation.gamma=[1,2,3],[4,5,6]", "data='a\\\\',b"]
 )
 def test_the_flag_quotes_what_hydra_must_read_back(sweep: str) -> None:
     assert read_back(with_batch(["--batch", sweep])) == [sweep]

@@ -16,9 +16,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from apcc_torch.composition.batch import Point
-from apcc_torch.composition.schema import SimulateConfig
-from apcc_torch.errors import ConfigError
+from apcc_torch.composition.run_settings import SimulateSettings
+from apcc_torch.composition.stacking import Point
+from apcc_torch.errors import ApccError, ConfigError
 from apcc_torch.experiments.run import run as run_one
 from apcc_torch.sweeps import batch_chunk
 from apcc_torch.sweeps import batch_run as batch
@@ -50,7 +50,7 @@ def table(folder: Path) -> list[dict[str, str]]:
         return list(csv.DictReader(file))
 
 
-def base(*changes: str) -> SimulateConfig:
+def base(*changes: str) -> SimulateSettings:
     return changed("kinematic", *KINEMATIC, "batch_workers=1", *changes)
 
 
@@ -66,18 +66,32 @@ def base(*changes: str) -> SimulateConfig:
         (
             "kinematic",
             (*KINEMATIC, "state=exact"),
-            {"robot__rest_lengths": ("[0.1,0.25,0.25]", "[0.11,0.26,0.24]"), "adaptation__upper": ("null", "[1,1,1]")},
+            {"arm__lengths": ("[0.1,0.25,0.25]", "[0.11,0.26,0.24]"), "bounds__upper": ("null", "[2,2,2]", "1.5")},
         ),
         (
             "dynamic_run_2",
             (*DYNAMIC, "sensors.position_noise=2e-4"),
-            {"controller__gamma": ("1", "9"), "plant__K_P": ("500", "750"), "plant__friction": ("0", "0.1")},
+            {
+                "controller__K": ("1", "[2,1,1]"),
+                "plant__pid__K_P": ("500", "750"),
+                "plant__transmission__friction": ("0", "0.1"),
+            },
+        ),
+        (
+            "dynamic_run_1",
+            DYNAMIC,
+            {
+                "arm__lengths": ("[0.1,0.25,0.25]", "[0.11,0.26,0.24]"),
+                "arm__mass": ("1", "1.3"),
+                "plant__arm__mass": ("0.9", "1.2"),
+                "plant__arm__layout": ("coupled", "independent"),
+            },
         ),
         (
             "dynamic_run_2_bank",
             DYNAMIC,
             {
-                "robot__sensors": ("[0.105,0.36,0.6]", "[0.1,0.33,0.59]"),
+                "arm__sensors": ("[0.105,0.36,0.6]", "[0.1,0.33,0.59]"),
                 "residual__shares": ("[[0.9,1.1],[0.3,0.4]]", "[[0.9,1.2],[0.25,0.35]]"),
                 "residual__sharpness": ("0.1", "0.4"),
             },
@@ -127,13 +141,13 @@ def test_the_best_and_the_worst_keep_a_run_folder(tmp_path: Path) -> None:
 def test_a_point_that_is_refused_is_named_and_the_others_go_on(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    points = product("kinematic", KINEMATIC, controller__damping=("0.001", "-1", "0.01"), controller__K=("1", "2"))
+    points = product("kinematic", KINEMATIC, bounds__lower=("0.5", "1.5", "0.6"), controller__K=("1", "2"))
     found = batch.run(base(), points, tmp_path)
     assert (found["points"], found["failed_points"]) == (6, 2)
     rows = table(tmp_path)
-    assert [row["point"] for row in rows if row["rows"] == ""] == ["2", "3"] and rows[2]["controller.damping"] == "-1"
-    assert "point 2 failed, controller.damping=-1 controller.K=1: damping must be" in caplog.text
-    with pytest.raises(ConfigError, match="no point could be run; the first one: damping must be"):
+    assert [row["point"] for row in rows if row["rows"] == ""] == ["2", "3"] and rows[2]["bounds.lower"] == "1.5"
+    assert "point 2 failed, bounds.lower=1.5 controller.K=1: lower must be below upper" in caplog.text
+    with pytest.raises(ConfigError, match="no point could be run; the first one: lower must be below upper"):
         batch.run(base(), points[2:4], tmp_path / "none")
 
 
@@ -191,8 +205,8 @@ def test_resume_computes_only_what_is_missing(tmp_path: Path, monkeypatch: pytes
 
 def test_chunks_of_other_settings_are_not_resumed(tmp_path: Path) -> None:
     points = product("kinematic", KINEMATIC, controller__K=("1", "2"))
-    others = product("kinematic", (*KINEMATIC, "controller.damping=0.1"), controller__K=("1", "2"))
-    one, other = base(), base("controller.damping=0.1")
+    others = product("kinematic", (*KINEMATIC, "controller.epsilon=0.1"), controller__K=("1", "2"))
+    one, other = base(), base("controller.epsilon=0.1")
     assert batch.parts_folder(one, points, tmp_path) == batch.parts_folder(base("resume=true"), points, tmp_path)
     assert batch.parts_folder(one, points, tmp_path) != batch.parts_folder(other, others, tmp_path)
     assert batch.parts_folder(one, points, tmp_path) != batch.parts_folder(one, points[:1], tmp_path)
@@ -206,7 +220,7 @@ def test_chunks_of_other_settings_are_not_resumed(tmp_path: Path) -> None:
      ("prune.after=0.1", r"prune\.after"), ("objective=speed", "objective")],
 )  # fmt: skip
 def test_a_setting_without_meaning_is_named(tmp_path: Path, change: str, named: str) -> None:
-    with pytest.raises(ConfigError, match=named):
+    with pytest.raises(ApccError, match=named):
         batch.run(base(change), product("kinematic", KINEMATIC, controller__K=("1",)), tmp_path)
     assert not (tmp_path / "metrics.json").exists()
 

@@ -44,7 +44,7 @@ def test_a_search_finds_the_best_of_its_trials_and_goes_through_them_again_when_
     assert len(found) == 4 and len(set(found.values())) == 4
     results = yaml.safe_load((search / "optimization_results.yaml").read_text())
     assert results["best_value"] == min(found.values())
-    assert set(results["best_params"]) == {"adaptation.gain_scale", "controller.K"}
+    assert set(results["best_params"]) == {"controller.null_gain", "controller.K"}
     best = min(found, key=lambda name: found[name])
     assert f"best shape_error_mean_mm: {found[best]:.6g}, in {best}," in done.stdout
     # Tuning looks at the training set-points only.

@@ -18,7 +18,7 @@ def swept(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, subprocess.Co
     cwd = tmp_path_factory.mktemp("swept")
     gains = "adaptation.gain_scale=0.1,1"
     done = simulate(
-        cwd, "-m", ONE_BY_ONE, *QUICK, gains, "velocity_filter.window=5,0", "hydra.sweep.dir='a sweep'", "progress=true"
+        cwd, "-m", ONE_BY_ONE, *QUICK, gains, "bounds.lower=0.5,1.5", "hydra.sweep.dir='a sweep'", "progress=true"
     )
     return cwd / "a sweep", done
 
@@ -39,16 +39,16 @@ def test_every_job_is_a_whole_folder_or_named(swept: tuple[Path, subprocess.Comp
         }
         assert written == wanted
         config = yaml.safe_load((folder / name / "config.yaml").read_text())
-        assert config["adaptation"]["gain_scale"] == gain and config["velocity_filter"]["window"] == 5
+        assert config["adaptation"]["gain_scale"] == gain and config["bounds"]["lower"] == 0.5
         versions = json.loads((folder / name / "versions.json").read_text())
         assert {"seed": 0, "torch_threads": "1"}.items() <= versions.items() and "torch" in versions
         assert "end_effector_error_end_mm" in (folder / name / "simulate.log").read_text()
     assert done.returncode == 1
     told = done.stdout
     assert "4 jobs by BasicLauncher into" in told and "2 finished jobs in" in told
-    why = "window must be at least order + 1 = 3, got 0"
+    why = "lower must be below upper for every section, got 1.5 and 1.4"
     for gain in ("0.1", "1"):
-        assert f"adaptation.gain_scale={gain} velocity_filter.window=0: {why}" in told
+        assert f"adaptation.gain_scale={gain} bounds.lower=1.5: {why}" in told
     assert f"resume=true hydra.sweep.dir={folder}" in told
     assert "Traceback" not in told + done.stderr
     assert f"[ERROR] - {why}" in (folder / "1.failed" / "simulate.log").read_text()
@@ -63,7 +63,7 @@ def test_the_same_seed_and_settings_give_the_same_bits(
     swept: tuple[Path, subprocess.CompletedProcess[str]], tmp_path: Path
 ) -> None:
     folder, _ = swept
-    job = ("adaptation.gain_scale=0.1", "velocity_filter.window=5")
+    job = ("adaptation.gain_scale=0.1", "bounds.lower=0.5")
     done = simulate(tmp_path, *QUICK, *job, "hydra.run.dir=run")
     assert done.returncode == 0, done.stderr
     assert metrics(tmp_path / "run") == metrics(folder / "0"), "a job of a sweep is that run, to the last bit"
@@ -84,9 +84,18 @@ def test_there_must_be_something_to_resume(tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir())
 
 
-def test_a_wrong_key_in_one_job_ends_the_sweep_before_anything_runs(tmp_path: Path) -> None:
-    done = simulate(tmp_path, "-m", *QUICK, "velocity_filter.window=5,wide", "hydra.sweep.dir=s")
-    assert done.returncode == 1 and "velocity_filter.window" in done.stderr and "Traceback" not in done.stderr
+@pytest.mark.parametrize(
+    ("word", "said"),
+    [
+        ("velocity_filter.window=5,wide", "velocity_filter.window must be a whole number, got 'wide'"),
+        ("velocity_filter.window=5,0", "velocity_filter.window must be at least 1"),
+        ("velocity_filter.windw=5,15", "velocity_filter.windw is no setting; did you mean window?"),
+        ("adaptation=none,normalised adaptation.rate=1,2", "adaptation.rate is read by nothing"),
+    ],
+)
+def test_a_wrong_setting_of_one_job_ends_the_sweep_before_anything_runs(tmp_path: Path, word: str, said: str) -> None:
+    done = simulate(tmp_path, "-m", *QUICK, *word.split(), "hydra.sweep.dir=s")
+    assert done.returncode == 2 and said in done.stdout and "Traceback" not in done.stdout + done.stderr
     assert not jobs(tmp_path / "s")
 
 

@@ -9,13 +9,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from apcc_torch.composition.schema import SimulateConfig
+from apcc_torch.composition.run_settings import SimulateSettings
 from apcc_torch.errors import ConfigError, DataError
 from apcc_torch.sweeps.sweep_folder import SweepFolder, fingerprint, job_name
 from composed import changed
 
 
-def settings(*overrides: str) -> SimulateConfig:
+def settings(*overrides: str) -> SimulateSettings:
     return changed("kinematic", *overrides)
 
 
@@ -78,7 +78,7 @@ def test_a_pruned_run_counts_only_under_the_same_pruning(
     assert (sweep.find(settings(*base, *overrides), "0") is not None) == same
 
 
-@given(st.sampled_from(["seed", "experiment.duration", "velocity_filter.window", "controller.gamma"]), st.data())
+@given(st.sampled_from(["seed", "experiment.duration", "velocity_filter.window", "adaptation.gamma"]), st.data())
 def test_different_runs_have_different_fingerprints(key: str, data: st.DataObject) -> None:
     one, other = data.draw(st.lists(st.integers(1, 99), min_size=2, max_size=2, unique=True))
     assert fingerprint(settings(f"{key}={one}")) == fingerprint(settings(f"{key}={one}", "resume=true"))

@@ -1,0 +1,49 @@
+"""`arm=` on a command line: a name in conf/arm, or the path of an arm's file."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from apcc_torch.errors import ConfigError
+from apcc_torch.model.arm import Arm
+from apcc_torch.reading import deviations
+
+_SUFFIXES = (".yaml", ".yml")
+
+
+def arm_override(arguments: Sequence[str]) -> list[str]:
+    """Arguments as Hydra takes them: an arm's file is spelled out, `arm=FILE` becomes `~arm` and `arm={...}`.
+
+    Keys of the arm may follow it, and several files make a sweep: arm=a.yaml,b.yaml. A value that ends in .yaml or .yml
+    is a file; any other is left to Hydra, as the name of an arm.
+
+    Raises:
+        ConfigError: Files and names are mixed.
+        DataError: A file cannot be read.
+        ConfigError, ValueRangeError: A file holds no arm.
+    """
+    spelled: list[str] = []
+    for argument in arguments:
+        paths = argument.removeprefix("arm=").split(",")
+        files = [path for path in paths if path.endswith(_SUFFIXES)]
+        if not argument.startswith("arm=") or not files:
+            spelled.append(argument)
+            continue
+        if files != paths:
+            raise ConfigError(f"arm must name files or names, not both, got {argument}")
+        arms = (Arm.load(path) for path in paths)
+        spelled += ["~arm", "arm=" + ",".join(_spelled({"name": arm.name} | deviations(arm)) for arm in arms)]
+    return spelled
+
+
+def _spelled(value: Any) -> str:
+    """A plain value in the grammar of Hydra's overrides."""
+    if isinstance(value, Mapping):
+        return "{" + ",".join(f"{name}:{_spelled(entry)}" for name, entry in value.items()) + "}"
+    if isinstance(value, list):
+        return "[" + ",".join(map(_spelled, value)) + "]"
+    if isinstance(value, str):
+        # A backslash escapes a quote, and another one only in front of a quote.
+        return "'" + value.replace("\\'", "\\\\'").replace("'", "\\'") + "'"
+    return "null" if value is None else str(value).lower() if isinstance(value, bool) else repr(value)
