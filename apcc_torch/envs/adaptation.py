@@ -151,7 +151,7 @@ class AdaptiveLoop(Part):
         }
         if self.routed:
             gains["routing.anchors"] = self.racks.on(true).unsqueeze(-2)
-            gains["routing.own_starts"] = self.starts.on(true).unsqueeze(-2)
+            gains["routing.starts"] = self.starts.on(true).unsqueeze(-2)
         upright = torch.eye(4, dtype=seen.dtype, device=seen.device)[:, :3].expand(*seen.shape[:-1], 4, 3)
         place = torch.nn.functional.pad(seen, (0, 1), value=1.0)
         T = torch.cat((upright, place.unsqueeze(-1)), dim=-1)  # orientations are not used

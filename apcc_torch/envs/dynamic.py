@@ -109,7 +109,7 @@ class DynamicArm(Part):
         )
         # Only what a tendon does on its way asks where the racks of a row's own arm are.
         lengths, routing = self.arm.rest_lengths(), self.arm.routing()
-        ends = {"anchors": routing.anchors, "own_starts": routing.starts} if plant.transmission is not None else {}
+        ends = {"anchors": routing.anchors, "starts": routing.starts} if plant.transmission is not None else {}
         self.tendon_ends = {name: places(X, lengths).to(like) for name, X in ends.items()}
 
     def lengths(self, rows: RowParameters) -> Tensor:
