@@ -83,8 +83,8 @@ def argmax(op: str) -> Operator:
                 best, place = make("select", better, entry, best), make("select", better, constant(i, INT), place)
             return place
 
-        found = reduced(first)(a, x.dtype, x, dim, keepdim)
-        return Value(found.entries, dtype)
+        result = reduced(first)(a, x.dtype, x, dim, keepdim)
+        return Value(result.entries, dtype)
 
     return run
 
