@@ -13,10 +13,10 @@ import json
 from pathlib import Path
 
 import torch
+from apcc_torch.composition.batch import stacked
 from run_settings import BANK, run_settings
 from tqdm import tqdm
 
-from apcc_torch.composition.batch import stacked
 from apcc_torch.experiments.dynamic import curves, dynamic_metrics, one_of, simulate, thinned
 from apcc_torch.files import write_json
 from apcc_torch.report.style import BLUE, GREEN, ORANGE, VERMILION, dress, from_zero, legend, new_figure, save_figure
