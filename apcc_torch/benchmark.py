@@ -17,8 +17,8 @@ from hydra.errors import HydraException
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from apcc_torch.composition.benchmark import BenchmarkSettings, PairSettings
 from apcc_torch.composition.arm_file import arm_override
+from apcc_torch.composition.benchmark import BenchmarkSettings, PairSettings
 from apcc_torch.composition.conf_path import conf_path
 from apcc_torch.composition.help import describe
 from apcc_torch.composition.run_settings import SimulateSettings
