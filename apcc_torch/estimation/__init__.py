@@ -10,17 +10,16 @@ from apcc_torch.estimation.feedback_covariance import feedback_covariance
 from apcc_torch.estimation.load_from_shape import HeldShape, ShapeNoise
 from apcc_torch.estimation.momentum_observer import MomentumObserver
 from apcc_torch.estimation.pose_filter import PoseFilter, PoseFilterSettings
-from apcc_torch.estimation.rest_calibration import Calibration
+from apcc_torch.estimation.rest_calibration import RestCalibration
 from apcc_torch.estimation.savitzky_golay import SavitzkyGolay, SavitzkyGolaySettings
 from apcc_torch.estimation.sensor_curve import SensorCurve, SensorCurveSettings
-from apcc_torch.estimation.sensor_gate import Reason, SensorGate, gate_recording
+from apcc_torch.estimation.sensor_gate import Reason, SensorGate, SensorGateSettings, gate_recording
 from apcc_torch.estimation.soft_window import SoftWindow
 from apcc_torch.estimation.state_feedback import StateFeedback, StateFeedbackSettings
 from apcc_torch.estimation.weighted_estimate import EstimateStatus, weighted_estimate
 
 __all__ = [
     "BalanceNoise",
-    "Calibration",
     "ContactSearch",
     "EstimateStatus",
     "Feedback",
@@ -32,11 +31,13 @@ __all__ = [
     "PoseFilterSettings",
     "Posture",
     "Reason",
+    "RestCalibration",
     "SavitzkyGolay",
     "SavitzkyGolaySettings",
     "SensorCurve",
     "SensorCurveSettings",
     "SensorGate",
+    "SensorGateSettings",
     "ShapeNoise",
     "SoftWindow",
     "StateFeedback",
