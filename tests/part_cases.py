@@ -23,7 +23,7 @@ from apcc_torch.control.tasks import Task
 from apcc_torch.control.tendon_limits import TendonLimits
 from apcc_torch.control.trajectory import SetPoint, SineTrajectory
 from apcc_torch.estimation.contact import ContactSearch
-from apcc_torch.estimation.load_from_shape import HeldShape
+from apcc_torch.estimation.load_from_shape import LoadFromShape
 from apcc_torch.estimation.momentum_observer import MomentumObserver
 from apcc_torch.estimation.pose_filter import PoseFilter
 from apcc_torch.estimation.savitzky_golay import SavitzkyGolay
@@ -181,8 +181,8 @@ CASES: dict[str, Case] = {
         lambda of: of(of(of.initial_state(q()), q(), qdot(), some(6), 0.01), 1.1 * q(), qdot(), some(6), 0.01).r,
         lambda: scalars(gain=10.0, tendon_damping=5.0),
     ),
-    "HeldShape": Case(
-        lambda **t: HeldShape(dynamics(), routing(), **{"abscissae": sensors(), "iterations": 2, **t}),
+    "LoadFromShape": Case(
+        lambda **t: LoadFromShape(dynamics(), routing(), **{"abscissae": sensors(), "iterations": 2, **t}),
         lambda of: of(some(6, scale=1e-3), poses(), some(6)).load.covariance,
         lambda: {"abscissae": sensors()},
         lambda: {"iterations": 1, "step": 1.0},

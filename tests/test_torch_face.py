@@ -311,7 +311,7 @@ def test_a_part_is_made_and_called_without_values(name: str) -> None:
     with torch.device("meta"):
         part = made(name)
         # Newton's iterations to a shape at rest do not end without values, and are too many for a test.
-        result = () if name == "HeldShape" else CASES[name].call(part)
+        result = () if name == "LoadFromShape" else CASES[name].call(part)
     held = [*part.parameters(), *part.buffers(), *leaves(result)]
     assert {leaf.device.type for leaf in held} <= {"meta"}
 

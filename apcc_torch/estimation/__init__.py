@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from apcc_torch.estimation.best_fit import oracle_fit
+from apcc_torch.estimation.best_fit import best_fit
 from apcc_torch.estimation.contact import ContactSearch
 from apcc_torch.estimation.external_force import BalanceNoise, ForceBalance, Posture, tare
 from apcc_torch.estimation.feedback import Feedback, FeedbackStatus
 from apcc_torch.estimation.feedback_covariance import feedback_covariance
-from apcc_torch.estimation.load_from_shape import HeldShape, ShapeNoise
+from apcc_torch.estimation.load_from_shape import LoadFromShape, ShapeNoise
 from apcc_torch.estimation.momentum_observer import MomentumObserver
 from apcc_torch.estimation.pose_filter import PoseFilter, PoseFilterSettings
 from apcc_torch.estimation.rest_calibration import RestCalibration
@@ -25,7 +25,7 @@ __all__ = [
     "Feedback",
     "FeedbackStatus",
     "ForceBalance",
-    "HeldShape",
+    "LoadFromShape",
     "MomentumObserver",
     "PoseFilter",
     "PoseFilterSettings",
@@ -42,9 +42,9 @@ __all__ = [
     "SoftWindow",
     "StateFeedback",
     "StateFeedbackSettings",
+    "best_fit",
     "feedback_covariance",
     "gate_recording",
-    "oracle_fit",
     "tare",
     "weighted_estimate",
 ]

@@ -17,7 +17,7 @@ from apcc_torch.shapes import check_tensor
 _SHORTEST = 1e-4  # m; a section squeezed to nothing keeps this much, so that its neighbours stay finite
 
 
-class OracleFit(NamedTuple):
+class BestFit(NamedTuple):
     """The best fit of each row.
 
     q: (..., n) configuration. pi: (..., n_b) rest lengths, m. error: (...) m, mean distance, Eq. (52).
@@ -29,7 +29,7 @@ class OracleFit(NamedTuple):
 
 
 @full_precision
-def oracle_fit(
+def best_fit(
     model: KinematicModel,
     points: Tensor,
     q: Tensor,
@@ -37,7 +37,7 @@ def oracle_fit(
     free_lengths: bool = False,
     spacing: str = "arc",
     iterations: int = 40,
-) -> OracleFit:
+) -> BestFit:
     """The q, or the (q, pi), whose backbone has the least mean distance, Eq. (52), to known points, offline.
 
     Levenberg-Marquardt on reweighted squares: the weights 1 / distance of the last iterate turn the sum of squares into
@@ -60,7 +60,7 @@ def oracle_fit(
     Example:
         >>> six, three, L0 = PCCBackbone(6), PCCBackbone(3), torch.full((6,), 0.1).double()
         >>> points = six.points(0.2 * torch.tensor([1.0, 0.0, 0.0, -1.0, 0.0, 0.0] * 3).double(), L0, 61)
-        >>> oracle_fit(three, points, torch.zeros(9).double(), 2.0 * L0[:3]).error
+        >>> best_fit(three, points, torch.zeros(9).double(), 2.0 * L0[:3]).error
         tensor(0.0014, dtype=torch.float64)
     """
     model.check(q, pi)
@@ -101,7 +101,7 @@ def oracle_fit(
         columns = torch.where(better[..., None, None, None], moved, columns)
         best = torch.where(better, error, best)
         damping = torch.where(better, 0.3 * damping, 4.0 * damping).clamp(1e-9, 1e9)
-    return OracleFit(best_q, best_pi, best)
+    return BestFit(best_q, best_pi, best)
 
 
 def _curve(

@@ -46,7 +46,7 @@ class ShapeNoise(NamedTuple):
     tension: Setting = 0.5
 
 
-class HeldShapeEstimate(NamedTuple):
+class LoadEstimate(NamedTuple):
     """A load and the shape it explains.
 
     load: Payload (..., 1) kg or tip force (..., 3) N in world axes, with covariance and status.
@@ -61,7 +61,7 @@ class HeldShapeEstimate(NamedTuple):
     converged: Tensor
 
 
-class HeldShape(Part):
+class LoadFromShape(Part):
     """Estimates a payload or a tip force from tendon lengths and sensor poses, tendon forces, or both.
 
     Args:
@@ -82,7 +82,7 @@ class HeldShape(Part):
         >>> arm = Arm(lengths=[0.2, 0.25], mass=0.4)
         >>> finer, y = arm.dynamics(2), torch.zeros(6).double()
         >>> held = equilibrium(finer, routing=arm.routing(), tendon_lengths=y, payload=torch.tensor(0.1).double())
-        >>> HeldShape(finer, arm.routing(), arm.sensor_places())(y, u=held.u).load.value
+        >>> LoadFromShape(finer, arm.routing(), arm.sensor_places())(y, u=held.u).load.value
         tensor([0.1000], dtype=torch.float64)
     """
 
@@ -124,7 +124,7 @@ class HeldShape(Part):
 
     def forward(
         self, y: Tensor, T: Tensor | None = None, u: Tensor | None = None, mask: Tensor | None = None
-    ) -> HeldShapeEstimate:
+    ) -> LoadEstimate:
         """The load of each row.
 
         Args:
@@ -165,7 +165,7 @@ class HeldShape(Part):
         known = torch.isfinite(found.value) & rest.converged.unsqueeze(-1)
         status = torch.where(rest.converged, found.status, int(EstimateStatus.INVALID))
         final = found._replace(value=torch.where(known, load, torch.nan), status=status)
-        return HeldShapeEstimate(final, rest.q, rest.u, rest.converged & small)
+        return LoadEstimate(final, rest.q, rest.u, rest.converged & small)
 
     def _per_newton(self) -> float | Tensor:
         """What a unit of the unknown weighs, N."""

@@ -18,7 +18,7 @@ from apcc_torch.composition.build import Builder
 from apcc_torch.composition.run_settings import SimulateSettings
 from apcc_torch.control.inverse_kinematics import elongation_cost
 from apcc_torch.control.length_bank import candidates, lists_of
-from apcc_torch.estimation.best_fit import oracle_fit
+from apcc_torch.estimation.best_fit import best_fit
 from apcc_torch.estimation.state_feedback import StateFeedback
 from apcc_torch.experiments.dynamic import Arms, thinned
 from apcc_torch.model.abscissae import decouple
@@ -132,7 +132,7 @@ def limits(config: SimulateSettings, log: DynamicLog, arms: Arms) -> Limits:
     with torch.inference_mode():
         true = arms.true.points(few.q_true, arms.true_lengths, POINTS)
         T = arms.true.pose(few.q_true, arms.true_lengths, *decouple(arms.sensors, arms.true_lengths))
-        shape = oracle_fit(arms.model, true, few.q_bar, few.pi_hat).error
+        shape = best_fit(arms.model, true, few.q_bar, few.pi_hat).error
         found: list[tuple[Tensor, ...]] = []
         # The lengths that the controller had at these instants are among them: it is never below its own limit.
         for pi in (few.pi_hat, *length_grid(config, build)):

@@ -1,28 +1,19 @@
-"""Units are those of keys that exist."""
+"""Units are those that the settings tell."""
 
 from __future__ import annotations
 
-import dataclasses
-from collections.abc import Iterator
-
 import pytest
 
-from apcc_torch.composition.schema import SimulateConfig
-from apcc_torch.report.units import KEY_UNITS, key_label, metric_label
+from apcc_torch.control.length_bank import LengthBank
+from apcc_torch.report.units import key_label, key_units, metric_label
 
 
-def keys(instance: object, prefix: str = "") -> Iterator[str]:
-    for field in dataclasses.fields(instance):  # type: ignore[arg-type]
-        value = getattr(instance, field.name)
-        if dataclasses.is_dataclass(value):
-            yield from keys(value, f"{prefix}{field.name}.")
-        else:
-            yield prefix + field.name
-
-
-def test_every_key_with_a_unit_is_a_setting() -> None:
-    assert set(KEY_UNITS) <= set(keys(SimulateConfig()))
+def test_units_are_the_settings_own() -> None:
     assert key_label("controller.rate") == ("controller.rate", "Hz") and key_label("seed") == ("seed", "")
+    assert key_label("plant.pid.K_P").unit == "N/m" and key_label("dynamics_law.payload").unit == "kg"
+    # Of a class that is not the group's default too.
+    assert LengthBank.settings_type is not None and key_units()["residual.resolution"] == "m"
+    assert key_label("experiment.nothing") == ("experiment.nothing", "")
 
 
 @pytest.mark.parametrize(
