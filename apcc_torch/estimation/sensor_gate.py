@@ -271,7 +271,7 @@ def gate_recording(gate: SensorGate, T: Tensor, tracked: Tensor, times: Tensor) 
         each of shape (N, k).
 
     Example:
-        >>> gate, T = SensorGate(1, max_reach=0.5, max_speed=2.0), torch.eye(4).double().repeat(3, 1, 1, 1)
+        >>> gate, T = SensorGate(torch.tensor([0.3]).double()), torch.eye(4).double().repeat(3, 1, 1, 1)
         >>> T[1, 0, 0, 3] = 0.4
         >>> times, tracked = torch.tensor([0.0, 0.01, 0.02]).double(), torch.ones(3, 1).bool()
         >>> held, verdict = gate_recording(gate, T, tracked, times)
