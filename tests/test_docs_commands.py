@@ -23,7 +23,7 @@ import torch
 from hydra import compose, initialize_config_dir
 from hydra.core.override_parser.overrides_parser import OverridesParser
 
-from apcc_torch import benchmark, identify  # whose import registers their settings with hydra
+from apcc_torch import benchmark  # whose import registers their settings with hydra
 from apcc_torch.composition.arm_file import arm_override
 from apcc_torch.composition.benchmark import BenchmarkSettings
 from apcc_torch.composition.help import rows
