@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import textwrap
-import typing
 from collections.abc import Iterator, Mapping
-from dataclasses import MISSING, is_dataclass
+from dataclasses import MISSING
 from typing import Any, NamedTuple
 
 from omegaconf import DictConfig, OmegaConf
@@ -13,6 +12,7 @@ from omegaconf import DictConfig, OmegaConf
 from apcc_torch.composition.schema import typed
 from apcc_torch.errors import ApccError
 from apcc_torch.part import part_of
+from apcc_torch.reading import nested_in
 from apcc_torch.settings import Settings, about_of, default_of, keys
 
 WIDTH = 118
@@ -42,14 +42,13 @@ def rows(settings: Settings | type[Settings], prefix: str = "") -> Iterator[Row]
     for each in keys(kind):
         about, key = about_of(each), f"{prefix}{each.name}"
         value = default_of(each) if settings is kind else getattr(settings, each.name)
-        absent = typing.get_type_hints(kind)[each.name]
-        absent = next((option for option in typing.get_args(absent) if is_dataclass(option)), None)
+        absent = nested_in(kind, each.name)
         if isinstance(value, Settings):
             yield Row(key, _shown(value) if about.base is not None else "", "", "", about.meaning)
             yield from rows(value, f"{key}.")
-        elif value is None and about.base is None and absent is not None:
+        elif value is None and absent is not None:
             yield Row(key, "null", "", "", about.meaning)
-            yield from rows(typing.cast(type[Settings], absent), f"{key}.")
+            yield from rows(absent, f"{key}.")
         else:
             default, source = default_of(each), about.source
             if default is MISSING:
