@@ -26,6 +26,8 @@ def test_forms() -> None:
     full.zero_()  # the gain is the module's own
     assert float(law.K.diagonal(dim1=-2, dim2=-1).min()) >= 1.0
     assert torch.equal(gain_matrix("gamma", [90.0, 42.5, 35.0], 3), torch.diag(diagonal))
+    rows = [[2.0, 1.0, 0.0], [1.0, 2.0, 0.0], [0.0, 0.0, 1.0]]
+    assert torch.equal(gain_matrix("K", rows, 3), torch.tensor(rows, dtype=torch.float64))
     assert torch.equal(gain_matrix("gamma", ["along", 90.0, 42.5, 35.0], 3), torch.diag(diagonal))
 
 
