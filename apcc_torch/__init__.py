@@ -6,6 +6,9 @@ thousands of arms, in the replay of a recording, under autograd, and on the robo
 
 from __future__ import annotations
 
+import importlib
+from typing import Any
+
 from apcc_torch.control.adaptation import AdaptiveLaw
 from apcc_torch.control.controller import APCCController
 from apcc_torch.control.inverse_kinematics import InverseKinematics
@@ -46,6 +49,14 @@ __all__ = [
     "StateFeedback",
     "Target",
     "TendonRouting",
+    "compose",
     "decouple",
     "shape_error",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    """`compose` of apcc_torch.composed, which imports hydra and every part: only once it is asked for."""
+    if name != "compose":
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return importlib.import_module("apcc_torch.composed").compose

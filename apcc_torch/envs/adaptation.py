@@ -22,7 +22,8 @@ from apcc_torch.model.abscissae import decouple, section_fractions
 from apcc_torch.model.arm import Arm
 from apcc_torch.model.backbone import PCCBackbone
 from apcc_torch.part import Part, part_of
-from apcc_torch.settings import ALONG, OURS, resolved, setting
+from apcc_torch.settings import OURS, resolved, setting
+from apcc_torch.spread import ALONG
 
 DYNAMICS = ("kinematic", "dynamic")
 

@@ -18,8 +18,9 @@ import torch
 from torch import Tensor
 
 from apcc_torch.part import Part, hold_rows
-from apcc_torch.settings import OURS, Numbers, Settings, resolved, setting, spread
+from apcc_torch.settings import OURS, Settings, resolved, setting
 from apcc_torch.shapes import batch_shape, check_tensor
+from apcc_torch.spread import Numbers, spread
 
 
 class Reason(IntEnum):
