@@ -11,7 +11,6 @@ from omegaconf import DictConfig, OmegaConf
 
 from apcc_torch.composition.schema import typed
 from apcc_torch.errors import ApccError
-from apcc_torch.part import part_of
 from apcc_torch.reading import nested_in
 from apcc_torch.settings import Settings, about_of, default_of, keys
 
@@ -62,7 +61,7 @@ def _shown(value: Any) -> str:
     if value is None:
         return "null"
     if isinstance(value, Settings):
-        return part_of(value).__name__
+        return getattr(type(value), "part", type(value)).__name__
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, float):

@@ -2,63 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+from dataclasses import fields
 from typing import NamedTuple
+
+from apcc_torch.classes import Trust, class_named
+from apcc_torch.composition.run_settings import SimulateSettings
+from apcc_torch.errors import ConfigError
+from apcc_torch.reading import nested_in
+from apcc_torch.settings import Settings, about_of
 
 METRIC_UNITS = {"mm": "mm", "cm": "cm", "m": "m", "s": "s", "rad": "rad", "kg": "kg", "g": "g", "hz": "Hz"} | {
     "n": "N", "nm2": "N m²", "nspm": "N s/m"
 }  # fmt: skip
 """The last part of a metric's name -> its unit."""
-
-KEY_UNITS = {
-    "adaptation.dead_zone": "m",
-    "adaptation.lower": "m",
-    "adaptation.rate": "m/s",
-    "adaptation.upper": "m",
-    "controller.K": "1/s",
-    "controller.bend_bound": "rad",
-    "controller.bend_rate": "rad/s",
-    "controller.elongation_bound": "m",
-    "controller.integral_gain": "1/s",
-    "controller.integral_reach": "m",
-    "controller.length_rate": "m/s",
-    "controller.rate": "Hz",
-    "dynamics_law.axial_rigidity": "N",
-    "dynamics_law.bending_rigidity": "N m²",
-    "dynamics_law.filter_time": "s",
-    "dynamics_law.force_limit": "N",
-    "dynamics_law.mass": "kg",
-    "dynamics_law.memory": "s",
-    "dynamics_law.payload": "kg",
-    "dynamics_law.reference_time": "s",
-    "dynamics_law.stiffness": "1/s",
-    "dynamics_law.tendon_damping": "N s/m",
-    "dynamics_law.torque_noise": "N m",
-    "experiment.A": "m",
-    "experiment.duration": "s",
-    "experiment.omega": "rad/s",
-    "experiment.payloads": "kg",
-    "experiment.r_0": "m",
-    "experiment.setpoints": "m",
-    "feedback.angular_threshold": "rad",
-    "feedback.linear_threshold": "m",
-    "plant.force_limit": "N",
-    "plant.lengths": "m",
-    "plant.mass": "kg",
-    "plant.settle": "s",
-    "plant.tendon_damping": "N s/m",
-    "pose_filter.angular_time": "s",
-    "pose_filter.linear_time": "s",
-    "robot.initial_estimate": "m",
-    "robot.racks": "m",
-    "robot.rest_lengths": "m",
-    "robot.sensors": "m",
-    "robot.tendon_offset": "m",
-    "sensors.angular_noise": "rad",
-    "sensors.delay": "samples",
-    "sensors.position_noise": "m",
-    "velocity_filter.window": "samples",
-}
-"""Configuration key -> unit, for keys with one."""
 
 
 class Label(NamedTuple):
@@ -76,6 +33,34 @@ def metric_label(name: str) -> Label:
     return Label(name.replace("_", " "), "")
 
 
-def key_label(key: str) -> Label:
-    """A configuration key as it is, with its unit where it has one."""
-    return Label(key, KEY_UNITS.get(key, ""))
+def key_label(key: str, runs: Sequence[Mapping[str, object]] = ()) -> Label:
+    """A configuration key as it is, with its unit where it has one.
+
+    Args:
+        key: Of a simulation.
+        runs: Flat settings of the runs, which name the classes of parts.
+    """
+    return Label(key, next(filter(None, (unit_of(key, run) for run in runs or ({},))), ""))
+
+
+def unit_of(key: str, run: Mapping[str, object]) -> str:
+    """The unit of a key in a run's flat settings; "" where it has none, or belongs to a class that is not ours."""
+    kind: type[Settings] | None = SimulateSettings
+    path = key.split(".")
+    for depth, name in enumerate(path):
+        field = {each.name: each for each in fields(kind)}.get(name)
+        if field is None:
+            return ""
+        about = about_of(field)
+        if depth == len(path) - 1:
+            return about.unit.replace("^2", "²")
+        kind = nested_in(kind, name)
+        if kind is None:
+            told = run.get(".".join([*path[: depth + 1], "kind"]))
+            if about.base is None or not isinstance(told, str):
+                return ""
+            try:
+                kind = class_named(key, told, about.base, Trust.OWN).settings_type
+            except ConfigError:
+                return ""
+    return ""

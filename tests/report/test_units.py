@@ -1,28 +1,35 @@
-"""Units are those of keys that exist."""
+"""Units are those of the settings."""
 
 from __future__ import annotations
 
-import dataclasses
-from collections.abc import Iterator
-
 import pytest
 
-from apcc_torch.composition.schema import SimulateConfig
-from apcc_torch.report.units import KEY_UNITS, key_label, metric_label
+from apcc_torch.composition.help import rows
+from apcc_torch.reading import plain
+from apcc_torch.report.settings import flatten
+from apcc_torch.report.units import key_label, metric_label
+from composed import composed
 
 
-def keys(instance: object, prefix: str = "") -> Iterator[str]:
-    for field in dataclasses.fields(instance):  # type: ignore[arg-type]
-        value = getattr(instance, field.name)
-        if dataclasses.is_dataclass(value):
-            yield from keys(value, f"{prefix}{field.name}.")
-        else:
-            yield prefix + field.name
+@pytest.mark.parametrize("experiment", ["kinematic", "dynamic_run_2_bank", "dynamic_run_2_composite"])
+def test_every_key_of_a_run_has_the_unit_of_its_setting(experiment: str) -> None:
+    config = composed(f"experiment={experiment}")
+    run = flatten(plain(config))
+    units = {row.key: row.unit.replace("^2", "²") for row in rows(config)}
+    assert {key: key_label(key, [{}, run]).unit for key in units} == units
+    assert units["arm.lengths"] == "m" and units["controller.rate"] == "Hz" and units["seed"] == ""
 
 
-def test_every_key_with_a_unit_is_a_setting() -> None:
-    assert set(KEY_UNITS) <= set(keys(SimulateConfig()))
-    assert key_label("controller.rate") == ("controller.rate", "Hz") and key_label("seed") == ("seed", "")
+def test_a_key_of_a_class_that_is_not_there_has_no_unit() -> None:
+    assert key_label("adaptation.dead_zone") == ("adaptation.dead_zone", "")
+    assert key_label("adaptation.dead_zone", [{"adaptation.kind": "somewhere.Law"}]).unit == ""
+    assert key_label(
+        "adaptation.dead_zone", [{}, {"adaptation.kind": "apcc_torch.control.adaptation.AdaptiveLaw"}]
+    ) == (
+        "adaptation.dead_zone",
+        "m",
+    )
+    assert key_label("robot.mass").unit == key_label("seed.more").unit == ""
 
 
 @pytest.mark.parametrize(
