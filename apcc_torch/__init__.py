@@ -6,6 +6,9 @@ thousands of arms, in the replay of a recording, under autograd, and on the robo
 
 from __future__ import annotations
 
+import importlib
+from typing import Any
+
 from apcc_torch.control.adaptation import AdaptiveLaw
 from apcc_torch.control.controller import APCCController
 from apcc_torch.control.inverse_kinematics import InverseKinematics
@@ -16,6 +19,7 @@ from apcc_torch.estimation.savitzky_golay import SavitzkyGolay
 from apcc_torch.estimation.state_feedback import StateFeedback
 from apcc_torch.model.abscissae import decouple
 from apcc_torch.model.affine import AffineBackbone
+from apcc_torch.model.arm import Arm
 from apcc_torch.model.backbone import PCCBackbone
 from apcc_torch.model.constant_strain import ConstantStrainBackbone
 from apcc_torch.model.dynamics import SoftArmDynamics
@@ -30,6 +34,7 @@ __all__ = [
     "AdaptiveLaw",
     "AffineBackbone",
     "ApccError",
+    "Arm",
     "Command",
     "ConstantStrainBackbone",
     "ControllerState",
@@ -44,6 +49,14 @@ __all__ = [
     "StateFeedback",
     "Target",
     "TendonRouting",
+    "compose",
     "decouple",
     "shape_error",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    """`compose` of apcc_torch.composed, which imports hydra and every part: only once it is asked for."""
+    if name != "compose":
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return importlib.import_module("apcc_torch.composed").compose

@@ -19,10 +19,10 @@ from omegaconf.errors import OmegaConfBaseException
 
 from apcc_torch.composition.arm_file import arm_override
 from apcc_torch.composition.benchmark import BenchmarkSettings, PairSettings
-from apcc_torch.composition.conf_path import conf_path
 from apcc_torch.composition.help import describe
 from apcc_torch.composition.run_settings import SimulateSettings
 from apcc_torch.composition.schema import check_words, schema, typed
+from apcc_torch.conf_path import conf_path
 from apcc_torch.errors import ApccError, ConfigError
 from apcc_torch.files import write_atomically
 from apcc_torch.paper import benchmark_run as paper

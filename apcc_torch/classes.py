@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from enum import Enum
 from importlib import import_module
+from inspect import isabstract
 from pathlib import Path
 from typing import Any
 
@@ -34,12 +35,9 @@ def class_named(key: str, name: str, base: type, trust: Trust = Trust.ANY) -> An
         trust: Which names are taken at all; nothing is imported for one that is not.
 
     Raises:
-        ConfigError: There is no such class, it is not of `base`, or is not trusted.
+        ConfigError: There is no such class, it is not of `base`, lacks a method, or is not trusted.
     """
-    if trust is Trust.OWN and not name.startswith(PACKAGE) and name not in ALLOWED:
-        raise ConfigError(
-            f"{key} names {name}, which is not of this package: a file loads it only where allow_class={name} says so"
-        )
+    check_trusted(key, name, trust)
     module, _, attribute = name.rpartition(".")
     here = str(Path.cwd())
     if here not in sys.path and "" not in sys.path:
@@ -51,7 +49,19 @@ def class_named(key: str, name: str, base: type, trust: Trust = Trust.ANY) -> An
         raise ConfigError(f"{key} must be a class, as package.module.Class, got {name!r}: {error}") from error
     if not (isinstance(named, type) and issubclass(named, base)):
         raise ConfigError(f"{key} must be a {base.__name__}, got {name!r}")
+    if isabstract(named):
+        lacking = ", ".join(sorted(getattr(named, "__abstractmethods__", ())))
+        raise ConfigError(f"{key} must be a class that is complete, and {name} lacks {lacking}")
     return named
+
+
+def check_trusted(key: str, name: str, trust: Trust) -> None:
+    """Raises ConfigError where a file from elsewhere names a class of elsewhere, and nobody has allowed it."""
+    if trust is Trust.OWN and not name.startswith(PACKAGE) and name not in ALLOWED:
+        raise ConfigError(
+            f"{key} names {name}, which is not of this package: a file may name it only where you allow it, with "
+            f"--allow-class {name}"
+        )
 
 
 def name_of(part: type) -> str:

@@ -16,10 +16,10 @@ from omegaconf.errors import OmegaConfBaseException
 
 from apcc_torch.composition.arm_file import arm_override
 from apcc_torch.composition.build import Builder
-from apcc_torch.composition.conf_path import conf_path
 from apcc_torch.composition.dynamics_law import with_dynamics
 from apcc_torch.composition.run_settings import SimulateSettings
 from apcc_torch.composition.schema import schema, text, typed
+from apcc_torch.conf_path import conf_path
 from apcc_torch.control.composite_controller import CompositeController
 from apcc_torch.control.controller import APCCController
 from apcc_torch.errors import ConfigError

@@ -4,7 +4,15 @@ from __future__ import annotations
 
 
 class ApccError(Exception):
-    """Base of every error the toolkit raises on purpose."""
+    """Base of every error the toolkit raises on purpose.
+
+    Example:
+        >>> try:
+        ...     PCCBackbone(0)
+        ... except ApccError as error:
+        ...     print(error)
+        n_sections must be at least 1, got 0
+    """
 
 
 class ShapeError(ApccError, ValueError):

@@ -10,17 +10,18 @@ from pathlib import Path
 import hydra
 from hydra.core.config_store import ConfigStore
 from hydra.core.hydra_config import HydraConfig
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf
 
-from apcc_torch.composition.conf_path import conf_path
-from apcc_torch.composition.identify import IdentifyConfig, arm_of
-from apcc_torch.composition.typed import typed
-from apcc_torch.errors import ApccError
+from apcc_torch.composition.arm_file import arm_override
+from apcc_torch.composition.identify import IdentifySettings, known_arm
+from apcc_torch.conf_path import conf_path
+from apcc_torch.errors import ApccError, ConfigError
 from apcc_torch.experiments import identification
+from apcc_torch.reading import defaults, read
 
 log = logging.getLogger("apcc_torch.identify")
 
-ConfigStore.instance().store(name="identify_schema", node=IdentifyConfig)
+ConfigStore.instance().store(name="identify_defaults", node=defaults(IdentifySettings))
 
 
 @hydra.main(version_base="1.3", config_path=conf_path(), config_name="identify")
@@ -28,8 +29,8 @@ def _hydra_main(cfg: DictConfig) -> float:
     """One recording; returns the identified arm's tip error on what was held back, mm."""
     folder = Path(HydraConfig.get().runtime.output_dir)
     try:
-        config = typed(cfg, IdentifyConfig)
-        metrics, text = identification.run(config, folder, log.info if config.progress else log.debug)
+        settings = read(OmegaConf.to_container(cfg), IdentifySettings)  # type: ignore[arg-type]
+        metrics, text = identification.run(settings, folder, log.info if settings.progress else log.debug)
     except ApccError as error:
         # A wrong setting or file is the user's to mend: one sentence, no stack.
         log.error("%s", error)
@@ -50,13 +51,18 @@ def with_arm(arguments: Sequence[str]) -> list[str]:
         # The manual ends with every key and its value, and only a chosen arm has them all.
         return [*arguments, "arm=ftdcr_v6"]
     data = next((argument.removeprefix("data=") for argument in arguments if argument.startswith("data=")), None)
-    return list(arguments) if data is None else [*arguments, f"arm={arm_of(data)}"]
+    if data is None:
+        return list(arguments)
+    name = known_arm(data)
+    if name is None:
+        raise ConfigError(f"arm must be named: arm=NAME or arm=FILE, as {data} is of no arm in conf/arm")
+    return [*arguments, f"arm={name}"]
 
 
 def main() -> None:
     """Console entry point."""
     try:
-        sys.argv[1:] = with_arm(sys.argv[1:])
+        sys.argv[1:] = arm_override(with_arm(sys.argv[1:]))
     except ApccError as error:
         sys.stderr.write(f"{error}\n")
         sys.exit(2)

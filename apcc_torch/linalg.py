@@ -1,9 +1,11 @@
-"""Small symmetric positive definite systems, in one place so that they can be made fast in one place."""
+"""Small symmetric positive definite systems: every solve and factor of the toolkit goes through here."""
 
 from __future__ import annotations
 
 import torch
 from torch import Tensor
+
+from apcc_torch.modes import full_precision
 
 # Where writing the elimination out is faster than the library's batched call: a factor of two at 256 matrices of this
 # size and of six at 4096; at larger sizes the library is as fast or faster (docs/speed.md).
@@ -19,7 +21,8 @@ def solve_spd(A: Tensor, B: Tensor) -> Tensor:
         B: (..., n, m).
     """
     n = A.shape[-1]
-    if n <= UNROLLED_SIZE and A.numel() >= UNROLLED_ROWS * n * n:
+    # Compiled, the few operations become one, and the batch may be of any size.
+    if n <= UNROLLED_SIZE and (torch.compiler.is_compiling() or A.numel() >= UNROLLED_ROWS * n * n):
         return solve_spd_unrolled(A, B)
     factor, failed = torch.linalg.cholesky_ex(A)
     return torch.cholesky_solve(B, factor).masked_fill(failed[..., None, None] != 0, torch.nan)
@@ -46,8 +49,8 @@ def solve_spd_unrolled(A: Tensor, B: Tensor) -> Tensor:
         for k, known in enumerate(reversed(solution)):
             x = x - columns[j][k] * known
         solution.append(x)
-    found = torch.stack(solution[::-1]).movedim((0, 1), (-2, -1))
-    return torch.where(positive[..., None, None], found, torch.nan)
+    result = torch.stack(solution[::-1]).movedim((0, 1), (-2, -1))
+    return torch.where(positive[..., None, None], result, torch.nan)
 
 
 def inverse_spd3(A: Tensor) -> Tensor:
@@ -69,6 +72,7 @@ def inverse_spd3(A: Tensor) -> Tensor:
     return torch.stack((x00, x10, x20, x10, x11, x21, x20, x21, x22), dim=-1).unflatten(-1, (3, 3))
 
 
+@full_precision
 def damped_pseudo_inverse(J: Tensor, damping: float | Tensor) -> Tensor:
     """J^T (J J^T + damping^2 I)^-1, (..., n, m) for J (..., m, n): the least-norm step, bounded near singularities.
 

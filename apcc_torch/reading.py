@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import typing
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import MISSING, Field, fields, is_dataclass
-from functools import cache
 from types import UnionType
 from typing import Any, TypeVar, Union, cast
 
@@ -14,7 +14,7 @@ from torch import Tensor
 from apcc_torch.classes import Trust, class_named, name_of
 from apcc_torch.errors import ApccError, ConfigError
 from apcc_torch.part import part_of
-from apcc_torch.settings import Settings, about_of, default_of, did_you_mean, keys
+from apcc_torch.settings import Settings, about_of, default_of, did_you_mean, keys, names
 
 Root = TypeVar("Root", bound=Settings)
 
@@ -22,17 +22,21 @@ MUST = "???"
 """What stands for a value that has to be given, as in OmegaConf."""
 
 
-def read(values: Mapping[str, Any], root: type[Root], key: str = "", trust: Trust = Trust.ANY) -> Root:
+def read(
+    values: Mapping[str, Any], root: type[Root], key: str = "", trust: Trust = Trust.ANY, start: Root | None = None
+) -> Root:
     """Settings of the class `root` from plain values; what is left out has its default.
 
     A field whose `About.base` is a class holds a part: its value is a mapping with `kind`, the part's class, and that
-    class's own settings. None, a `kind` of None and an empty mapping stand for no part, where the field allows it.
+    class's own settings; without a `kind` the part is the field's default. None, a `kind` of None and an empty mapping
+    stand for no part, where the field allows it.
 
     Args:
         values: Nested mappings, as a file or a command line gives them.
         root: A `Settings` class.
         key: Where in the whole the values stand, for messages; "" for the root.
         trust: Which classes a `kind` may name.
+        start: Where what is left out comes from; None: the defaults of the class.
 
     Raises:
         ConfigError: A key is unknown or missing, or a value has the wrong type; the sentence names the key.
@@ -44,42 +48,48 @@ def read(values: Mapping[str, Any], root: type[Root], key: str = "", trust: Trus
     for name in values:
         if name not in known:
             raise ConfigError(f"{_join(key, str(name))} is no setting{did_you_mean(str(name), known)}")
-    taken = {}
+    # What only code may set comes along where values start from settings.
+    taken = {} if start is None else {name: getattr(start, name) for name in names(root)}
     for each in keys(root):
-        at = _join(key, each.name)
+        at, default = _join(key, each.name), default_of(each) if start is None else getattr(start, each.name)
         if each.name in values and values[each.name] != MUST:
-            taken[each.name] = _value(values[each.name], each, root, at, trust)
-        elif default_of(each) is MISSING:
+            taken[each.name] = _value(values[each.name], each, root, at, trust, default)
+        elif default is MISSING:
             raise ConfigError(f"{at} must be given")
-    return _made(root, taken, key)
+        else:
+            taken[each.name] = default
+    with keyed(key):
+        return root(**taken)
 
 
-def _made(kind: type[Root], taken: Mapping[str, Any], key: str) -> Root:
+@contextmanager
+def keyed(key: str) -> Iterator[None]:
+    """Where a part refuses one of its own settings, the sentence names it by the key it has in the whole."""
     try:
-        return kind(**taken)
+        yield
     except ApccError as error:
-        # A part names its own setting; here it has a longer name.
         raise type(error)(_join(key, str(error))) from error
 
 
-def _value(value: Any, each: Field[Any], root: type[Settings], key: str, trust: Trust) -> Any:
+def _value(value: Any, each: Field[Any], root: type[Settings], key: str, trust: Trust, default: Any) -> Any:
     about, annotation = about_of(each), _types(root)[each.name]
     if about.base is not None:
-        if value is None or (isinstance(value, Mapping) and value.get("kind", MUST if value else None) is None):
+        part = None if default is MISSING else default
+        if value is None or (isinstance(value, Mapping) and value.get("kind", MUST if value or part else None) is None):
             unread = [name for name in value or () if name != "kind"]
             if unread:
                 raise ConfigError(
                     f"{_join(key, unread[0])} is read by nothing: there is no {each.name} here, choose one"
                 )
             return None
-        return read_part(value, about.base, key, trust)
+        return read_part(value, about.base, key, trust, part)
     options, nested = _options(annotation), nested_in(root, each.name)
     if value is None and type(None) in options:
         return None
     if nested is not None:
-        if type(None) in options and isinstance(value, Mapping) and not value:
+        if type(None) in options and isinstance(value, Mapping) and not value and default is None:
             return None  # a part that may be left out is there once it has a key
-        return read(value, nested, key, trust)
+        return read(value, nested, key, trust, default if isinstance(default, nested) else None)
     for option in options:
         origin, inner = typing.get_origin(option), typing.get_args(option)
         if origin is dict and is_dataclass(inner[1]) and isinstance(value, Mapping):
@@ -117,12 +127,14 @@ def _entries(value: Any, inner: Any, key: str) -> tuple[Any, ...]:
     return tuple(value)
 
 
-def read_part(values: Any, base: type, key: str, trust: Trust = Trust.ANY) -> Settings:
-    """The settings of the part that `values` name by their `kind`.
+def read_part(values: Any, base: type, key: str, trust: Trust = Trust.ANY, default: Any = None) -> Settings:
+    """The settings of the part that `values` name by their `kind`; those of `default`, changed, where they name none.
 
     Raises:
         ConfigError: No class is named, it is not of `base`, or it has no such settings.
     """
+    if isinstance(values, Mapping) and "kind" not in values and isinstance(default, Settings):
+        return read(values, type(default), key, trust, default)
     if not isinstance(values, Mapping) or not isinstance(values.get("kind"), str) or values["kind"] == MUST:
         raise ConfigError(f"{_join(key, 'kind')} must name a class, as package.module.Class")
     part = class_named(_join(key, "kind"), values["kind"], base, trust)
@@ -173,9 +185,13 @@ def defaults(root: type[Settings]) -> dict[str, Any]:
     return values
 
 
-@cache
+_TYPES: dict[Any, dict[str, Any]] = {}
+
+
 def _types(root: type[Settings]) -> dict[str, Any]:
-    return typing.get_type_hints(root)
+    if root not in _TYPES:
+        _TYPES[root] = typing.get_type_hints(root)
+    return _TYPES[root]
 
 
 def _join(key: str, name: str) -> str:

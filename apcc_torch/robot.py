@@ -11,8 +11,11 @@ from hydra.core.config_store import ConfigStore
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 
-from apcc_torch.composition.conf_path import conf_path
-from apcc_torch.composition.realtime import RealtimeConfig
+from apcc_torch.composition.arm_file import arm_override
+from apcc_torch.composition.help import describe
+from apcc_torch.composition.realtime import RealtimeSettings
+from apcc_torch.composition.schema import check_words, schema
+from apcc_torch.conf_path import conf_path
 from apcc_torch.errors import ApccError
 from apcc_torch.experiments.folder import metrics_text
 from apcc_torch.hardware.stops import exit_code_table
@@ -20,7 +23,9 @@ from apcc_torch.paper import arm_series as arm_run
 
 log = logging.getLogger("apcc_torch.robot")
 
-ConfigStore.instance().store(name="realtime_schema", node=RealtimeConfig)
+
+ConfigStore.instance().store(name="realtime_schema", node=schema(RealtimeSettings))
+describe("robot", RealtimeSettings)
 OmegaConf.register_new_resolver("exit_codes", exit_code_table, replace=True)
 
 
@@ -46,6 +51,11 @@ def main() -> None:
     if {"-h", "--help"} & set(asked) and not any(argument.startswith("experiment=") for argument in asked):
         # The manual ends with every key and its value, and only a chosen experiment has them all.
         sys.argv.append("experiment=setpoint")
+    try:
+        sys.argv[1:] = arm_override(sys.argv[1:])
+        check_words(sys.argv[1:], RealtimeSettings)
+    except ApccError as error:
+        sys.exit(f"apcc_torch.robot: {error}")
     _hydra_main()
 
 

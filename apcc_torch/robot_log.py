@@ -7,6 +7,7 @@ import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+from apcc_torch.classes import ALLOWED
 from apcc_torch.errors import ApccError
 from apcc_torch.experiments.realtime_run import replay_log
 from apcc_torch.hardware.log_export import write_parquet, write_rerun
@@ -36,6 +37,7 @@ def info(record: RobotLog, arguments: argparse.Namespace) -> Answer:
 
 def replayed(record: RobotLog, arguments: argparse.Namespace) -> Answer:
     """How far the replayed commands are from the logged ones; exit code 1 if they are not the same."""
+    ALLOWED.update(arguments.allow_class)
     result = replay_log(record)
     same = result.difference <= TOLERANCE
     verdict = "the same" if same else "not the same"
@@ -80,6 +82,14 @@ def parser() -> argparse.ArgumentParser:
     for name, (_, about) in COMMANDS.items():
         command = commands.add_parser(name, help=about, description=about)
         command.add_argument("log", type=Path, help="log.mcap of a run")
+        if name == "replay":
+            command.add_argument(
+                "--allow-class",
+                action="append",
+                default=[],
+                metavar="NAME",
+                help="a class of yours that the log's settings may name, as package.module.Class; can be repeated",
+            )
         if name in ("parquet", "rerun"):
             command.add_argument("--out", type=Path, help="folder or file to write; beside the log if not given")
     return top

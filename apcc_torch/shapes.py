@@ -6,6 +6,7 @@ import torch
 from torch import Tensor
 
 from apcc_torch.errors import DtypeError, ShapeError, ValueRangeError
+from apcc_torch.modes import holds
 
 Trailing = tuple[int | None, ...]
 
@@ -64,13 +65,14 @@ def check_same(**tensors: Tensor) -> None:
 def check_finite(name: str, value: Tensor) -> Tensor:
     """Returns `value` if every entry is finite.
 
-    This reads values, so it belongs at construction and at the edge of a program, not in hot paths.
+    This reads values, so it belongs at construction and at the edge of a program, not in hot paths. A tensor without
+    values, as on the meta device, passes.
 
     Raises:
         ValueRangeError: An entry is NaN or infinite: "q is not finite at index (3, 1)".
     """
     finite = torch.isfinite(value)
-    if not bool(finite.all()):
+    if not holds(finite):
         index = tuple(int(i) for i in (~finite).nonzero()[0])
         raise ValueRangeError(f"{name} is not finite at index {index}")
     return value
@@ -83,9 +85,9 @@ def check_positive(name: str, value: Tensor) -> Tensor:
         ValueRangeError: "pi must be positive, got -0.1 at index (2,)".
     """
     check_finite(name, value)
-    bad = value <= 0
-    if bool(bad.any()):
-        index = tuple(int(i) for i in bad.nonzero()[0])
+    good = value > 0
+    if not holds(good):
+        index = tuple(int(i) for i in (~good).nonzero()[0])
         raise ValueRangeError(f"{name} must be positive, got {float(value[index]):g} at index {index}")
     return value
 

@@ -14,10 +14,10 @@ from hydra.types import RunMode
 from omegaconf import DictConfig
 
 from apcc_torch.composition.arm_file import arm_override
-from apcc_torch.composition.conf_path import conf_path
 from apcc_torch.composition.help import describe
 from apcc_torch.composition.run_settings import SimulateSettings
 from apcc_torch.composition.schema import check_words, schema
+from apcc_torch.conf_path import conf_path
 from apcc_torch.errors import ApccError
 from apcc_torch.experiments.folder import metrics_text
 from apcc_torch.experiments.run import objective_in, run, settings_of

@@ -45,7 +45,7 @@ def measure(rate: float, seconds: float, folder: Path, more: list[str]) -> dict[
         if outcome.reason is not StopReason.COMPLETED:
             return {"reason": outcome.reason.value, "message": outcome.message}
         settings = [*CURVE, *common, *BUDGET, f"loop.rate={rate}", f"experiment.duration={seconds}", *more]
-        outcome, metrics = realtime.run(composed_realtime(*settings), "", folder)
+        outcome, metrics = realtime.run(composed_realtime(*settings), folder)
     found: dict[str, float | str] = {"reason": outcome.reason.value, "message": outcome.message} | metrics
     if not outcome.ticks:
         return found

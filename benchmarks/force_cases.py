@@ -12,7 +12,7 @@ from apcc_torch import StateFeedback
 from apcc_torch.composition.build import Builder
 from apcc_torch.composition.schema import SimulateConfig
 from apcc_torch.estimation.external_force import BalanceNoise, ForceBalance, Posture
-from apcc_torch.estimation.load_from_shape import HeldShape
+from apcc_torch.estimation.load_from_shape import LoadFromShape
 from apcc_torch.experiments.dynamic import simulate
 from apcc_torch.model.abscissae import decouple
 from apcc_torch.model.affine import AffineBackbone
@@ -167,7 +167,7 @@ def posture(b: ForceBalance, T: Tensor, u: Tensor | None, pi: Tensor) -> Posture
     return Posture(q, pi.expand(*q.shape[:-1], 3), u)
 
 
-def finer(build: Builder, own: bool = False) -> HeldShape:
+def finer(build: Builder, own: bool = False) -> LoadFromShape:
     """Nine sections, three between neighbouring racks, under tendons of known length; or the true arm's own six."""
     p = build.config.plant
     if own:
@@ -177,4 +177,4 @@ def finer(build: Builder, own: bool = False) -> HeldShape:
         lengths = (ends.diff() / 3.0).repeat_interleave(3)
     axial, bending = scaled_stiffness(lengths, p.stiffness_reference, p.axial_stiffness, p.bending_stiffness)
     arm = SoftArmDynamics(lengths, p.mass / 0.6 * lengths, axial, bending, base_rotation=build.base_rotation())
-    return HeldShape(arm, build.routing("coupled"), build.sensors_at())
+    return LoadFromShape(arm, build.routing("coupled"), build.sensors_at())

@@ -20,36 +20,31 @@ from hydra import compose, initialize_config_dir
 from hydra.core.config_store import ConfigStore
 
 from apcc_torch.composition.build_realtime import RealtimeBuilder
-from apcc_torch.composition.conf_path import conf_path
-from apcc_torch.composition.realtime import RealtimeConfig
-from apcc_torch.composition.typed import typed
+from apcc_torch.composition.realtime import RealtimeSettings, composed, schema
+from apcc_torch.conf_path import conf_path
 from apcc_torch.files import write_json
-from apcc_torch.hardware.clock import MonotonicClock
 from apcc_torch.hardware.log import RunLog
 from apcc_torch.hardware.realtime import freeze, realtime
 from apcc_torch.hardware.runner import Runner
 from apcc_torch.hardware.setup import Setup
-from apcc_torch.hardware.simulated.actuator import SimulatedActuator
-from apcc_torch.hardware.simulated.process import ProcessWorld
-from apcc_torch.hardware.simulated.sensor import SimulatedSensor
 from apcc_torch.hardware.summary import STAGES, Summary
 from apcc_torch.hardware.view import LiveView
 
-ConfigStore.instance().store(name="realtime_schema", node=RealtimeConfig)
+ConfigStore.instance().store(name="realtime_schema", node=schema())
 
 NEVER = 1e6
 """A limit that no run reaches: the loop is timed to its end however late it is."""
 
 
-def settings(rate: float, arguments: argparse.Namespace) -> RealtimeConfig:
+def settings(rate: float, arguments: argparse.Namespace) -> RealtimeSettings:
     """Tracking at one rate, with every guard on time out of the way."""
     overrides = [
         "experiment=tracking",
         "experiment.payloads=[0.0]",
         f"experiment.duration={arguments.seconds}",
         f"loop.rate={rate}",
-        f"hardware.simulated.frame_rate={rate}",
-        f"hardware.simulated.frame_latency={arguments.frame_latency}",
+        f"hardware.sensor.rate={rate}",
+        f"hardware.sensor.latency={arguments.frame_latency}",
         "loop.hold=0.0",
         "loop.fresh_timeout=60.0",
         "loop.fresh_frames=1",
@@ -61,26 +56,26 @@ def settings(rate: float, arguments: argparse.Namespace) -> RealtimeConfig:
         *arguments.overrides,
     ]
     with initialize_config_dir(conf_path(), version_base="1.3"):
-        return typed(compose("realtime", overrides), RealtimeConfig)
+        return composed(compose("realtime", overrides))
 
 
 def measure(rate: float, arguments: argparse.Namespace) -> dict[str, float]:
     """One run at a rate; its metrics."""
     config = settings(rate, arguments)
     build = RealtimeBuilder(config)
-    clock = MonotonicClock(config.loop.spin)
-    world = ProcessWorld(build.simulated_arm(), clock)
+    actuator, sensor, world = build.devices()
     summary = Summary()
     observers: list[Summary | RunLog | LiveView] = [summary]
     setup = Setup(
-        SimulatedActuator(world),
-        SimulatedSensor(world),
+        actuator,
+        sensor,
         build.sensing(),
         build.control(),
         build.limits(),
         build.guards(),
-        build.loop(),
-        clock,
+        config.loop,
+        world.clock,
+        config.experiment.duration,
         observers=observers,
         prepared=freeze,
     )

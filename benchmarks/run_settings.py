@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+from apcc_torch.composition.typed import typed
 from hydra import compose, initialize_config_dir
 from hydra.core.config_store import ConfigStore
 
-from apcc_torch.composition.conf_path import conf_path
 from apcc_torch.composition.schema import SimulateConfig
-from apcc_torch.composition.typed import typed
+from apcc_torch.conf_path import conf_path
 
 GENTLE = ("controller.null_gain=0.3", "controller.epsilon=0.005")
 """A null-space term with a kink at zero: what the tables of models, laws and forces were taken with."""

@@ -226,7 +226,7 @@ def main() -> None:
     torch.set_num_threads(options.threads)
     torch.manual_seed(options.seed)
     settings: dict[str, object] = {"dynamics": options.dynamics, "action": options.action, "dtype": "float32"}
-    settings |= {"control_rate": RATE, "substeps": 100 // RATE, "max_episode_steps": EPISODE}
+    settings |= {"control_rate": RATE, "plant": {"substeps": 100 // RATE}, "max_episode_steps": EPISODE}
     size = gymnasium.make_vec("apcc/Reach-v0", **settings).single_action_space.shape[0]
     chance = torch.Generator().manual_seed(options.seed)
     baselines = {

@@ -9,11 +9,13 @@ from hydra.core.config_store import ConfigStore
 from omegaconf import DictConfig, OmegaConf
 
 from apcc_torch.composition.arm_file import arm_override
-from apcc_torch.composition.conf_path import conf_path
+from apcc_torch.composition.realtime import RealtimeSettings
 from apcc_torch.composition.run_settings import SimulateSettings
 from apcc_torch.composition.schema import schema, typed
+from apcc_torch.conf_path import conf_path
 
 ConfigStore.instance().store(name="simulate_schema", node=schema(SimulateSettings))
+ConfigStore.instance().store(name="realtime_schema", node=schema(RealtimeSettings))
 
 # Experiments that only the program for an arm, real or simulated, can run.
 ON_AN_ARM = {"calibration", "experiment_1", "experiment_2"}
@@ -28,6 +30,17 @@ def raw(*overrides: str) -> DictConfig:
 def composed(*overrides: str) -> SimulateSettings:
     """The settings as the experiments take them."""
     return typed(raw(*overrides), SimulateSettings)
+
+
+def raw_realtime(*overrides: str) -> DictConfig:
+    """What hydra makes of the overrides for the arm in real time."""
+    with initialize_config_dir(conf_path(), version_base="1.3"):
+        return compose("realtime", arm_override(overrides))
+
+
+def composed_realtime(*overrides: str) -> RealtimeSettings:
+    """The settings of a run in real time."""
+    return typed(raw_realtime(*overrides), RealtimeSettings)
 
 
 @cache

@@ -12,14 +12,14 @@ import torch
 
 from apcc_torch.composition.build import Builder
 from apcc_torch.control.trajectory import SetPoint
-from apcc_torch.estimation.sensor_gate import SensorGate
+from apcc_torch.estimation.sensor_gate import SensorGateSettings
 from apcc_torch.hardware.clock import VirtualClock
 from apcc_torch.hardware.control import Control
 from apcc_torch.hardware.guards import GuardSettings
 from apcc_torch.hardware.limits import CommandLimits
 from apcc_torch.hardware.records import Observer, Outcome
 from apcc_torch.hardware.runner import Runner
-from apcc_torch.hardware.sensing import Sensing, SensingLimits
+from apcc_torch.hardware.sensing import Sensing, SensingSettings
 from apcc_torch.hardware.setup import LoopSettings, Setup
 from apcc_torch.hardware.stop_request import StopRequest
 from apcc_torch.model.abscissae import decouple
@@ -27,10 +27,10 @@ from composed import composed
 from fake_devices import N_TENDONS, FakeActuator, FakeSensor, FakeStep, Fault, Faults, Witness
 
 RATE = 100.0
-LIMITS = CommandLimits(
-    np.full(N_TENDONS, -0.03), np.full(N_TENDONS, 0.01), np.full(N_TENDONS, 0.2), np.full(N_TENDONS, 0.003)
-)
-GUARDS = GuardSettings(duration=1.5, effort_limit=50.0, effort_cap=200.0, slack_effort=1.0, slack_dwell=0.1)
+DURATION = 1.5
+LIMITS = CommandLimits(N_TENDONS, lower=-0.03, upper=0.01, rate=0.2, step=0.003)
+GUARDS = GuardSettings(effort_limit=50.0, effort_cap=200.0, slack_effort=1.0, slack_dwell=0.1, overruns=10)
+SENSING = SensingSettings(max_age=0.06, stale=0.2, dropout=0.3, gate=SensorGateSettings())
 
 
 @cache
@@ -76,17 +76,17 @@ def fake_run(
     actuator, sensor = FakeActuator(clock, wrong), FakeSensor(clock, wrong, rest())
     step = FakeStep(clock, wrong, request)
     target = SetPoint(torch.tensor([0.0, 0.15, -0.5], dtype=torch.float64))
-    gate = SensorGate(3, max_reach=(1.5 * build.sensors_at()).tolist())
     witness = Witness(clock, wrong)
     setup = Setup(
         actuator,
         sensor,
-        Sensing(gate, build.base_rotation(), SensingLimits()),
+        Sensing(build.sensors_at(), build.base_rotation(), SENSING),
         Control(controller, target, pi_hat, step),
         limits,
         guards,
-        LoopSettings(RATE, warm_up=2, hold=0.1),
+        LoopSettings(rate=RATE, warm_up=2, hold=0.1),
         clock,
+        DURATION,
         request,
         (witness, *observers),
     )

@@ -23,7 +23,7 @@ MAX_LINES = 330
 # never another unit of its own line. The longest name wins: "report.__main__" is a program, the rest of report is not.
 LAYERS: tuple[tuple[str, ...], ...] = (
     ("errors",),
-    ("files",),
+    ("conf_path", "files", "modes", "spread"),
     ("settings", "shapes"),
     ("part",),
     ("classes",),
@@ -44,13 +44,16 @@ LAYERS: tuple[tuple[str, ...], ...] = (
     ("experiments",),
     ("paper",),
     ("sweeps",),
-    ("simulate",),
+    ("composed", "simulate"),
     ("benchmark", "identify", "report.__main__", "robot", "robot_log"),
 )
 
+# What a unit does without, though it lies below: real devices know no simulation, and get the simulated arm's plant.
+APART: dict[str, frozenset[str]] = {"hardware": frozenset({"simulation"})}
+
 # Who alone may import a heavy or program-only library.
 RESTRICTED: dict[str, frozenset[str]] = {
-    "hydra": frozenset({"benchmark", "identify", "robot", "simulate", "sweeps"}),
+    "hydra": frozenset({"benchmark", "composed", "identify", "robot", "simulate", "sweeps"}),
     "matplotlib": frozenset({"report", "report.__main__"}),
     "gymnasium": frozenset({"envs"}),
     "stable_baselines3": frozenset({"envs"}),
@@ -130,6 +133,13 @@ def test_imports_point_down(module: str) -> None:
     assert not unplaced, f"{module} imports {unplaced}, which have no line in LAYERS"
     wrong = {target or PACKAGE for target in targets if (to := unit_of(target)) != unit and LEVEL[to] >= LEVEL[unit]}
     assert not wrong, f"{module or PACKAGE} must not import {sorted(wrong)}"
+
+
+@every_module
+def test_units_that_stay_apart(module: str) -> None:
+    unit = unit_of(module) or ""
+    wrong = {target for target in own_imports(module) if unit_of(target) in APART.get(unit, ())}
+    assert not wrong, f"{module} must do without {sorted(wrong)}"
 
 
 @every_module

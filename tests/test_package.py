@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 
 import apcc_torch
-from apcc_torch.composition import conf_path
+from apcc_torch import conf_path
 from apcc_torch.errors import ConfigError
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -24,12 +24,14 @@ PROJECT: dict[str, Any] = tomllib.loads((ROOT / "pyproject.toml").read_text(enco
 PUBLIC_NAMES = (
     "APCCController",
     "AdaptiveLaw",
+    "Arm",
     "InverseKinematics",
     "PCCBackbone",
     "SavitzkyGolay",
     "SoftArmDynamics",
     "StateFeedback",
     "TendonRouting",
+    "compose",
     "decouple",
     "shape_error",
 )
@@ -117,7 +119,7 @@ def test_wheel_holds_the_package_and_its_configs(wheel: Path) -> None:
 
 def test_wheel_finds_its_own_configs(wheel: Path, tmp_path: Path) -> None:
     zipfile.ZipFile(wheel).extractall(tmp_path)
-    code = "from apcc_torch.composition.conf_path import conf_path; print(conf_path())"
+    code = "from apcc_torch.conf_path import conf_path; print(conf_path())"
     env = os.environ | {"PYTHONPATH": str(tmp_path)}
     done = subprocess.run(
         [sys.executable, "-c", code], env=env, cwd=tmp_path, capture_output=True, text=True, check=False

@@ -18,12 +18,12 @@ from apcc_torch.hardware.log_reader import read_log
 from apcc_torch.robot_log import main as robot_log
 
 ROOT = Path(apcc_torch.__file__).resolve().parents[1]
-LOCKSTEP = ("hardware.simulated.lockstep=true", "hardware.simulated.step=0.01", "plant.settle=0.5", "loop.hold=0.1")
+LOCKSTEP = ("hardware=lockstep", "hardware.world.step=0.01", "plant.settle=0.5", "loop.hold=0.1")
 # A busy machine may starve the loop and the arm: these runs are about how they end, not about time.
 PATIENT = (
     "loop.rate=20", "loop.warm_up=5", "loop.fresh_timeout=60", "loop.fresh_frames=1", "loop.hold=0.2",
     "plant.settle=0.1", "guards.overruns=100000", "guards.sensing.max_age=100", "guards.sensing.stale=100",
-    "guards.sensing.dropout=100", "guards.sensing.max_speed=100", "guards.sensing.max_angular_rate=1000",
+    "guards.sensing.dropout=100", "guards.sensing.gate.max_speed=100", "guards.sensing.gate.max_angular_rate=1000",
     "guards.max_error=null", "experiment.duration=100", "compile=off",
 )  # fmt: skip
 
@@ -81,7 +81,7 @@ def test_a_replay_gives_the_same_commands(finished: tuple[Path, str], capsys: py
     told = capsys.readouterr().out
     assert "complete" in told and "/controller" in told and "[arrived]" in told
     assert robot_log(["attachments", path]) == 0
-    assert "lockstep: true" in capsys.readouterr().out
+    assert "LockstepWorld" in capsys.readouterr().out
     assert robot_log(["info", str(finished[0] / "metrics.json")]) == 2
     assert "not the log of a run" in capsys.readouterr().err
 
@@ -106,9 +106,9 @@ def test_a_dry_run_moves_nothing(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "code", "named"),
     [
-        (("experiment=setpoint", "loop.rate=1000"), 2, "loop.rate must be between 20 and 500 Hz, got 1000.0"),
+        (("experiment=setpoint", "loop.rate=1000"), 2, "loop.rate must be in [20, 500], got 1000.0"),
         (("experiment=kinematic",), 2, "experiment.kind must be one of dynamic, tendons, got 'kinematic'"),
-        (("experiment=setpoint", "guards.effort=3"), 1, "effort"),
+        (("experiment=setpoint", "guards.effort=3"), 2, "guards.effort is no setting; did you mean effort_cap?"),
     ],
 )
 def test_a_wrong_setting_is_named_and_nothing_runs(
@@ -128,10 +128,11 @@ def test_a_full_disk_ends_the_run_by_name_with_the_arm_held(tmp_path: Path) -> N
 
 
 def test_help_teaches(tmp_path: Path) -> None:
-    done = robot(tmp_path, "--help")
+    done = robot(tmp_path, "--help", "experiment=setpoint", "hardware=dynamixel_optitrack")
     assert done.returncode == 0, done.stderr
-    choices = ("experiment:", "setpoint", "hardware: dynamixel_optitrack, simulated")
-    for part in (*choices, "dry_run", "sensor_stale", "143", "robot_log"):
+    choices = ("experiment:", "setpoint", "hardware: dynamixel_optitrack, lockstep, simulated")
+    meaning = "bus_watchdog: 0.1", "[ours] s, without a packet", "kind: apcc_torch.hardware.optitrack.sensor"
+    for part in (*choices, *meaning, "dry_run", "sensor_stale", "143", "robot_log"):
         assert part in done.stdout, part
 
 

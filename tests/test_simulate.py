@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 import commands
-from apcc_torch.composition.conf_path import conf_path
+from apcc_torch.conf_path import conf_path
 from composed import ON_AN_ARM
 
 HELP_GROUPS = ("experiment", "state", "arm", "model", "plant", "sensors", "feedback", "pose_filter", "adaptation")

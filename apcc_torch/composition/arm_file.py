@@ -33,7 +33,7 @@ def arm_override(arguments: Sequence[str]) -> list[str]:
         if files != paths:
             raise ConfigError(f"arm must name files or names, not both, got {argument}")
         arms = (Arm.load(path) for path in paths)
-        spelled += ["~arm", "arm=" + ",".join(_spelled(deviations(arm)) for arm in arms)]
+        spelled += ["~arm", "arm=" + ",".join(_spelled({"name": arm.name} | deviations(arm)) for arm in arms)]
     return spelled
 
 

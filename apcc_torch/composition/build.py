@@ -16,9 +16,9 @@ from apcc_torch.model.arm import Arm, vector, with_changes
 from apcc_torch.model.kinematic_model import KinematicModel
 from apcc_torch.model.tendons import TendonRouting
 from apcc_torch.part import part_of
-from apcc_torch.settings import Numbers, spread
 from apcc_torch.simulation.plant import Plant
 from apcc_torch.simulation.sensors import PoseSensors
+from apcc_torch.spread import Numbers, spread
 
 DTYPES = {"float64": torch.float64, "float32": torch.float32}
 
@@ -61,7 +61,7 @@ class Builder:
     @property
     def true_arm(self) -> Arm:
         """The arm of the plant."""
-        return with_changes(self.arm, self.config.plant.arm)  # type: ignore[attr-defined]
+        return with_changes(self.arm, self.config.plant.arm)
 
     @property
     def n_sections(self) -> int:
@@ -82,7 +82,7 @@ class Builder:
 
     def true_lengths(self) -> Tensor:
         """(n_t,) rest lengths of the plant's sections, m."""
-        return self.placed(self.true_arm.refined(self.config.plant.refine))  # type: ignore[attr-defined]
+        return self.placed(self.true_arm.refined(self.config.plant.refine))
 
     def first_estimate(self) -> Tensor:
         """(n_b,) pi_hat at the start, m; of several runs (P, 1, n_b)."""

@@ -41,7 +41,7 @@ def true_parameters(build: Builder, payload: Tensor) -> Tensor:
     values = {
         "bending_rigidity": series * reference * arm.bending_stiffness,
         "axial_rigidity": series * reference * arm.axial_stiffness,
-        "tendon_damping": build.config.plant.tendon_damping,  # type: ignore[attr-defined]
+        "tendon_damping": build.config.plant.tendon_damping,
         "payload": payload,
         "mass": arm.mass,
     }

@@ -1,173 +1,121 @@
-"""What `python -m apcc_torch.identify` can be set to, and what is made of it. Values and meanings stand in conf/."""
+"""What `python -m apcc_torch.identify` can be set to, and what is made of it."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
-
-import torch
-from omegaconf import MISSING
-from torch import Tensor
 
 from apcc_torch.errors import ConfigError, DataError
-from apcc_torch.identification.parameters import Block, Parameters
-from apcc_torch.identification.series import Series, read_series, series_of
-from apcc_torch.identification.tendon_arm import Layout, block_sizes
-from apcc_torch.recordings.recording import detect_layout, load_recording
+from apcc_torch.identification.arm_blocks import KEYS, Spreads, arm_parameters
+from apcc_torch.identification.fit import FitSettings
+from apcc_torch.identification.online import OnlineSettings
+from apcc_torch.identification.parameters import Parameters
+from apcc_torch.identification.series import RecordingSettings, Series, read_series
+from apcc_torch.identification.split import SplitSettings
+from apcc_torch.model.arm import Arm
+from apcc_torch.recordings.recording import detect_layout
+from apcc_torch.settings import OURS, Settings, check_choice, names, setting
+
+GEOMETRY = (
+    "rest_length",
+    "angle",
+    "offset",
+    "input_scale",
+    "pre_stretch",
+    "damping_ratio",
+    "base_position",
+    "base_rotation",
+    "mount",
+)
+"""Blocks that tell where an arm is whose bends follow from its tendons' lengths."""
 
 
-@dataclass
-class TableConfig:
-    """How the recording is read."""
+@dataclass(frozen=True, kw_only=True)
+class ArmFitSettings(FitSettings):
+    """How the arm is fitted to the training samples."""
 
-    layout: str = "table"
-    inputs: list[str] = field(default_factory=list)
-    bodies: list[Any] = field(default_factory=list)
-    unit: float = 1.0
-    time: str | None = None
-    rate: float = 100.0
-    group: str | None = None
-    group_ending: str = ""
+    samples: int = setting(400, "", OURS, "training samples that the fits see, evenly spread", least=2)
+    history: int = setting(
+        1, "", OURS, "inputs that matter, from now back; 1 for an arm at rest in every sample", least=1
+    )
+    slide_travel: float = setting(
+        0.0, "", OURS, "travel of an input in which friction turns over, in its unit; 0: no friction", least=0
+    )
+    geometric: tuple[str, ...] = setting(GEOMETRY, "", OURS, "spreads that the PCC geometry is fitted with")
 
-
-@dataclass
-class TendonsConfig:
-    """How the tendons run and what drives them; one entry a tendon."""
-
-    inputs: list[int] = MISSING
-    pulls: list[float] = MISSING
-    ends: list[int] = MISSING
+    def check(self) -> None:
+        """Raises ConfigError where there is no such spread."""
+        for name in self.geometric:
+            check_choice("geometric", name, names(Spreads))
 
 
-@dataclass
-class BlockConfig:
-    """Parameters of one kind: one number for all, or one each."""
+@dataclass(frozen=True, kw_only=True)
+class ArmOnlineSettings(OnlineSettings):
+    """How the PCC geometry is adapted online."""
 
-    nominal: Any = MISSING
-    spread: Any = 0.0
-
-
-@dataclass
-class SplitConfig:
-    """What is held back."""
-
-    by: str = "blocks"
-    folds: int = 5
-    fold: int = 4
+    samples: int = setting(1000, "", OURS, "samples that it sees, evenly spread", least=1)
 
 
-@dataclass
-class FitConfig:
-    """How the fits are done."""
-
-    samples: int = 400
-    steps: int = 25
-    rounds: int = 3
-    history: int = 1
-    slide_travel: float = 0.0
-    geometric: list[str] = field(default_factory=list)
-    online_samples: int = 1000
-    online_noise: float = 0.01
-    online_walk: float = 0.03
-
-
-@dataclass
-class IdentifyConfig:
+@dataclass(frozen=True, kw_only=True)
+class IdentifySettings(Settings):
     """Root of `python -m apcc_torch.identify`."""
 
-    name: str = MISSING
-    data: str | None = None
-    recording: TableConfig = field(default_factory=TableConfig)
-    masses: list[float] = MISSING
-    bodies: list[int] = MISSING
-    tendons: TendonsConfig = field(default_factory=TendonsConfig)
-    blocks: dict[str, BlockConfig] = field(default_factory=dict)
-    split: SplitConfig = field(default_factory=SplitConfig)
-    fit: FitConfig = field(default_factory=FitConfig)
-    figures: bool = True
-    progress: bool = True
-    threads: int | None = 1
+    data: str | None = setting(None, "", OURS, "file or folder of the recording")
+    arm: Arm = setting(meaning="what is believed of the arm: a name in conf/arm, or an arm's file")
+    spread: Spreads = setting(factory=Spreads, meaning="how far the arm may be from that")
+    recording: RecordingSettings = setting(factory=RecordingSettings, meaning="how the recording is read")
+    split: SplitSettings = setting(factory=SplitSettings, meaning="what is held back")
+    fit: ArmFitSettings = setting(factory=ArmFitSettings, meaning="how the arm is fitted")
+    online: ArmOnlineSettings = setting(factory=ArmOnlineSettings, meaning="how the geometry is adapted online")
+    figures: bool = setting(True, "", OURS, "whether figures are drawn")
+    progress: bool = setting(True, "", OURS, "whether rounds are told as they end")
+    threads: int | None = setting(1, "", OURS, "torch threads; null leaves torch its choice", least=1)
 
 
-def read(config: IdentifyConfig) -> Series:
-    """The recording that `data` names.
+def recorded(settings: IdentifySettings) -> Series:
+    """The recording that `data` names, which has what the arm has.
 
     Raises:
-        ConfigError: No data is named, or the layout is unknown.
-        DataError: The recording cannot be read, or does not have what the arm has.
+        ConfigError: No data is named, or the arm is not that of the recording.
+        DataError: The recording cannot be read.
     """
-    r = config.recording
-    if config.data is None:
+    if settings.data is None:
         raise ConfigError("data must name the file or folder of a recording: data=PATH")
-    if r.layout not in ("table", "columns", "trunk", "auto"):
-        raise ConfigError(f"recording.layout must be table, columns, trunk or auto, got {r.layout!r}")
-    if r.layout == "table":
-        series = read_series(config.data, r.inputs, r.bodies, r.unit, r.time, r.rate, r.group, r.group_ending)
-    else:
-        layout = detect_layout(config.data) if r.layout == "auto" else r.layout
-        series = series_of(load_recording(config.data, layout=layout, rate=r.rate))
+    series, arm = read_series(settings.data, settings.recording), settings.arm
+    m, k = series.inputs.shape[-1], series.positions.shape[1]
+    last, sensors = max(arm.actuation.driving(arm.n_tendons)), len(arm.sensor_places())
+    if last >= m:
+        raise ConfigError(f"arm.actuation.inputs names input {last}, the recording has {m}, numbered from 0")
+    if sensors != k:
+        raise ConfigError(f"arm.sensors must name {k} places, one a body of the recording, got {sensors}")
     return series
 
 
-def layout(config: IdentifyConfig, series: Series) -> Layout:
-    """What is known of the arm, checked against the recording.
+def parameters(settings: IdentifySettings) -> Parameters:
+    """What is fitted of the arm.
 
     Raises:
-        ConfigError: Settings do not fit each other, or not the recording.
+        ConfigError: A spread has the wrong number of entries, all are zero, or what is known by its ratio is.
     """
-    t = config.tendons
-    arm = Layout(
-        len(config.masses), tuple(t.inputs), tuple(t.pulls), tuple(t.ends), tuple(config.bodies), tuple(config.masses)
-    )
-    m, k = series.inputs.shape[-1], series.positions.shape[1]
-    if arm.n_inputs > m:
-        raise ConfigError(f"tendons.inputs names input {arm.n_inputs - 1}, the recording has {m}, numbered from 0")
-    if len(arm.bodies) != k:
-        raise ConfigError(f"bodies has {len(arm.bodies)} entries, the recording has {k} bodies")
-    return arm
+    arm, spread = settings.arm, settings.spread
+    if settings.fit.slide_travel == 0:
+        spread = spread.changed(friction=0.0)
+    if settings.fit.history == 1:
+        spread = spread.changed(damping_ratio=0.0)
+    for name, value in {"friction": arm.actuation.friction, "damping_ratio": arm.damping_ratio}.items():
+        if getattr(spread, name) and not value:
+            raise ConfigError(f"arm.{KEYS[name]} must be positive to be fitted by its ratio; spread.{name}=0 holds it")
+    blocks = arm_parameters(arm, spread)
+    if not len(blocks):
+        raise ConfigError("spread: every one is zero, so there is nothing to fit")
+    return blocks
 
 
-def _numbers(key: str, value: Any, count: int) -> Tensor:
-    """One number a parameter, from one for all or a list."""
-    given = list(value) if isinstance(value, Sequence) and not isinstance(value, str) else [value]
-    try:
-        numbers = torch.tensor([float(v) for v in given], dtype=torch.float64)
-    except (TypeError, ValueError) as error:
-        raise ConfigError(f"{key} must be a number or a list of {count}, got {value!r}") from error
-    if len(numbers) not in (1, count):
-        raise ConfigError(f"{key} must be a number or a list of {count}, got {len(numbers)} entries")
-    return numbers.expand(count).clone()
-
-
-def parameters(config: IdentifyConfig, arm: Layout) -> Parameters:
-    """The blocks of an arm.
+def known_arm(data: str) -> str | None:
+    """The arm of conf/arm that a recording is of, by its layout or its columns; None where it is of none.
 
     Raises:
-        ConfigError: A block is missing or unknown, or has the wrong number of entries.
-    """
-    sizes = block_sizes(arm)
-    for name in config.blocks:
-        if name not in sizes:
-            raise ConfigError(f"blocks.{name} is not a block; there are {', '.join(sizes)}")
-    blocks = {}
-    for name, (unit, logarithmic, labels) in sizes.items():
-        if name not in config.blocks:
-            raise ConfigError(f"blocks.{name} is missing")
-        given, key = config.blocks[name], f"blocks.{name}"
-        nominal = _numbers(f"{key}.nominal", given.nominal, len(labels))
-        spread = _numbers(f"{key}.spread", given.spread, len(labels))
-        blocks[name] = Block(nominal, spread, unit, tuple(labels), logarithmic)
-    return Parameters(blocks)
-
-
-def arm_of(data: str) -> str:
-    """The arm of conf/arm that a recording is of, by its layout or its columns.
-
-    Raises:
-        ConfigError: It is of none of them.
-        DataError: It cannot be read.
+        DataError: There is no such file.
     """
     path = Path(data)
     if not path.exists():
@@ -178,6 +126,4 @@ def arm_of(data: str) -> str:
             header = {name.strip() for name in lines.readline().split(",")}
         if {"servo_1_mm", "tip_x"} <= header:
             return "ftdcr_v6"
-    if detect_layout(path) == "trunk":
-        return "trunk"
-    raise ConfigError(f"arm must be named: arm=NAME, as {path} is of no arm in conf/arm")
+    return "trunk" if detect_layout(path) == "trunk" else None

@@ -1,114 +1,80 @@
-"""What can be set of a run in real time. Values and meanings stand in conf/; a wrong key or type is refused."""
+"""What can be set of a run in real time: the settings of its parts, and what a simulation has too."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields
-from typing import Any
+from collections.abc import Mapping
+from dataclasses import dataclass
 
-from omegaconf import MISSING
+import yaml
 
-from apcc_torch.composition.hardware import CalibrationConfig, HardwareConfig
-from apcc_torch.composition.schema import ArmConfig, SimulateConfig
-
-
-@dataclass
-class LimitsConfig:
-    """Clamps of every command: a number, or one a tendon."""
-
-    lower: Any = MISSING
-    upper: Any = MISSING
-    rate: Any = 0.15
-    step: Any = 5e-3
-
-
-@dataclass
-class SensingConfig:
-    """Frames and bodies to believe."""
-
-    max_age: float = 0.06
-    stale: float = 0.2
-    dropout: float = 0.3
-    frozen_frames: int | None = 10
-    partial: str = "skip"
-    max_speed: float = 1.0
-    position_margin: float = 0.01
-    max_angular_rate: float = 8.0
-    angle_margin: float = 0.15
-    reach: float = 1.5
-    max_bend: float = 3.0
-    max_twist: float = 0.8
+from apcc_torch.classes import Trust
+from apcc_torch.composition.run_settings import RunSettings
+from apcc_torch.errors import ConfigError
+from apcc_torch.hardware.calibration_confirmation import ConfirmationSettings
+from apcc_torch.hardware.calibration_measurement import MeasurementSettings
+from apcc_torch.hardware.devices import HardwareSettings
+from apcc_torch.hardware.guards import GuardSettings
+from apcc_torch.hardware.ramp import RampSettings
+from apcc_torch.hardware.setup import LoopSettings
+from apcc_torch.native.compiled import MODES
+from apcc_torch.reading import read
+from apcc_torch.settings import OURS, PAPER, Settings, setting
 
 
-@dataclass
-class GuardsConfig:
-    """What ends a run."""
+@dataclass(frozen=True, kw_only=True)
+class CalibrationSettings(MeasurementSettings, ConfirmationSettings):
+    """What a calibration measures, and what a run confirms of it and takes from it."""
 
-    limits: LimitsConfig = field(default_factory=LimitsConfig)
-    sensing: SensingConfig = field(default_factory=SensingConfig)
-    arrival_error: float | None = 1e-3
-    arrival_dwell: float = 0.5
-    max_error: float | None = 1.0
-    effort_limit: float | None = None
-    effort_dwell: float = 0.3
-    effort_cap: float | None = None
-    slack_effort: float | None = None
-    slack_dwell: float = 0.5
-    range_margin: float = 5e-3
-    overruns: int = 10
-    overrun_window: float = 1.0
-    failed_exchanges: int = 5
-    endings: dict[str, str] = field(default_factory=dict)
+    file: str | None = setting(None, meaning="to confirm and use, or to write; null: none, for a simulated arm only")
+    id: str | None = setting(None, meaning="the calibration that it has to be; null: whichever is in the file")
+    lengths: bool = setting(
+        True, "", PAPER, "the model takes abscissae of sensors and racks, and rest lengths, from it"
+    )
+    length_tolerance: float = setting(0.02, "m", OURS, "by which they may differ from arm.sensors", above=0)
 
 
-@dataclass
-class LoopConfig:
-    """Rate and preparation of the loop."""
-
-    rate: float = 50.0
-    spin: float = 2e-4
-    warm_up: int = 50
-    fresh_frames: int = 5
-    fresh_timeout: float = 2.0
-    arm_margin: float = 1e-3
-    hold: float = 30.0
-    priority: int | None = None
-    lock_memory: bool = False
-
-
-@dataclass
-class RampConfig:
-    """Where the tendons go in an experiment of kind `tendons`."""
-
-    goal: list[float] | None = None
-    duration: float = 10.0
-    estimate: list[float] | None = None
-
-
-@dataclass
-class SeriesConfig:
+@dataclass(frozen=True, kw_only=True)
+class SeriesSettings(Settings):
     """Runs one after the other, and the study that is made of them."""
 
-    study: str | None = None
-    runs: dict[str, list[str]] = field(default_factory=dict)
-    only: list[str] | None = None
-    figures: bool = True
+    study: str | None = setting(None, meaning="experiment_1 or experiment_2: the table and figures made of the runs")
+    runs: Mapping[str, list[str]] = setting(factory=dict, meaning="name: [key=value, ...], what differs in that run")
+    only: tuple[str, ...] | None = setting(
+        None, meaning="names; null: all of them. On an arm that has to be brought to rest by hand: one"
+    )
+    figures: bool = setting(True, meaning="draw the study's figures")
 
 
-@dataclass
-class RealtimeConfig(ArmConfig):
+@dataclass(frozen=True, kw_only=True)
+class RealtimeSettings(RunSettings):
     """Root of `python -m apcc_torch.robot`."""
 
-    hardware: HardwareConfig = field(default_factory=HardwareConfig)
-    guards: GuardsConfig = field(default_factory=GuardsConfig)
-    loop: LoopConfig = field(default_factory=LoopConfig)
-    calibration: CalibrationConfig = field(default_factory=CalibrationConfig)
-    ramp: RampConfig = field(default_factory=RampConfig)
-    series: SeriesConfig = field(default_factory=SeriesConfig)
-    dry_run: bool = False
-    view: bool = True
-    log: bool = True
+    compile: str = setting(
+        "aot",
+        "",
+        OURS,
+        "the step as: aot, machine code (built once, then kept; eager without g++); off, eager torch; inductor",
+        choices=MODES,
+    )
+    hardware: HardwareSettings = setting(factory=HardwareSettings, meaning="which devices")
+    guards: GuardSettings = setting(factory=GuardSettings, meaning="what ends a run")
+    loop: LoopSettings = setting(factory=LoopSettings, meaning="rate and preparation of the loop")
+    calibration: CalibrationSettings = setting(factory=CalibrationSettings, meaning="of the arm")
+    ramp: RampSettings = setting(factory=RampSettings, meaning="of an experiment of kind tendons")
+    series: SeriesSettings = setting(factory=SeriesSettings, meaning="several runs, each in a folder of its own")
+    dry_run: bool = setting(False, meaning="everything but torque; the log says what would be sent")
+    view: bool = setting(True, meaning="the live view, where there is a terminal")
+    log: bool = setting(True, meaning="write log.mcap")
 
 
-def model_settings(config: RealtimeConfig) -> SimulateConfig:
-    """The part of the settings that a simulation has too, as the builder of simulations takes it."""
-    return SimulateConfig(**{shared.name: getattr(config, shared.name) for shared in fields(ArmConfig)})
+def from_text(content: str) -> RealtimeSettings:
+    """The settings of a file that may come from elsewhere, such as a log's: plain values, in which nothing is resolved.
+
+    Raises:
+        ConfigError, ValueRangeError: They have no meaning, or name a class that is neither of this package nor allowed.
+    """
+    try:
+        values = yaml.safe_load(content)
+    except yaml.YAMLError as error:
+        raise ConfigError(f"the settings are not a YAML file: {error}") from error
+    return read(values, RealtimeSettings, trust=Trust.OWN)

@@ -7,11 +7,13 @@ from typing import Any
 
 from apcc_torch.control.composite_controller import CompositeController
 from apcc_torch.control.control_settings import ControlSettings
+from apcc_torch.estimation.sensor_gate import SensorGateSettings
 from apcc_torch.model.arm import Arm, Lengths
 from apcc_torch.native.compiled import MODES
-from apcc_torch.settings import OURS, PAPER, Numbers, Setting, Settings, setting
+from apcc_torch.settings import OURS, PAPER, Setting, Settings, setting
 from apcc_torch.simulation.plant import Plant, PlantSettings
 from apcc_torch.simulation.sensors import PoseSensorsSettings
+from apcc_torch.spread import Numbers
 
 Points = tuple[Any, ...]
 """Lists of three numbers, m; or a tensor, one set a row."""
@@ -48,7 +50,7 @@ class RunSettings(ControlSettings):
     """What a run has, in simulation and on an arm alike: the arm, its controller, the true arm, the experiment."""
 
     arm: Arm = setting(meaning="the arm, as it is believed to be")
-    plant: Settings = setting(factory=PlantSettings, meaning="the true arm of a simulation", base=Plant)
+    plant: PlantSettings = setting(factory=PlantSettings, meaning="the true arm of a simulation", base=Plant)
     sensors: PoseSensorsSettings = setting(
         factory=PoseSensorsSettings, meaning="what a simulation's sensors add to the truth"
     )
@@ -84,9 +86,7 @@ class ReplaySettings(Settings):
     first_abscissa: float | None = setting(
         None, "m", OURS, "from the base to the first sensor, instead of base_position", above=0
     )
-    max_twist: float = setting(0.8, "rad", OURS, "about the arm's axis; more is a swap of markers", above=0)
-    max_speed: float = setting(1.0, "m/s", OURS, "faster is a jump", above=0)
-    max_angular_rate: float = setting(8.0, "rad/s", OURS, "faster is a jump", above=0)
+    gate: SensorGateSettings = setting(factory=SensorGateSettings, meaning="which poses of a frame to believe")
     frames: int | None = setting(None, "", OURS, "replay only so many; null: all", least=1)
 
 

@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from apcc_torch.composition.conf_path import conf_path
+from apcc_torch.conf_path import conf_path
 from apcc_torch.errors import ConfigError
 from apcc_torch.reading import defaults, nested_in, plain, read
 from apcc_torch.settings import Settings, about_of, default_of, did_you_mean, keys

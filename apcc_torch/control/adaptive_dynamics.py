@@ -30,6 +30,7 @@ from torch import Tensor
 from apcc_torch.errors import ValueRangeError
 from apcc_torch.linalg import solve_spd
 from apcc_torch.model.dynamics_regressor import PARAMETERS
+from apcc_torch.modes import holds, none_left
 from apcc_torch.part import Part, hold_rows
 from apcc_torch.settings import OURS, Settings, resolved, setting
 from apcc_torch.shapes import check_finite, check_same, check_tensor
@@ -118,21 +119,22 @@ class AdaptiveDynamics(Part):
         check_finite("nominal", check_tensor("nominal", nominal, (p,)))
         check_finite("deviation", check_tensor("deviation", deviation, (p,)))
         if lower is None:
-            lower = nominal * torch.tensor([0.1, 0.1, 0.0, 0.0, 0.0], dtype=nominal.dtype, device=nominal.device)
+            # A bound is no way to train what it bounds.
+            lower = nominal.detach() * nominal.new_tensor([0.1, 0.1, 0.0, 0.0, 0.0])
         if upper is None:
             upper = torch.full_like(nominal, torch.inf)
         for name, bound in {"lower": lower, "upper": upper}.items():
             check_tensor(name, bound, (p,))
         check_same(nominal=nominal, deviation=deviation, lower=lower, upper=upper)
-        if bool((deviation < 0).any()):
+        if not holds(deviation >= 0):
             raise ValueRangeError(f"deviation must be zero or positive, got {deviation.tolist()}")
-        if not bool(((lower <= nominal) & (nominal <= upper) & (lower < upper)).all()):
+        if not holds((lower <= nominal) & (nominal <= upper) & (lower < upper)):
             raise ValueRangeError("nominal must be between lower and upper, and lower below upper, for every parameter")
-        if not bool((lower >= 0).all()):
+        if not holds(lower >= 0):
             raise ValueRangeError("lower must not be negative: no parameter of the dynamics is")
         self.hold(resolved(AdaptiveDynamicsSettings, settings, changes))
         hold_rows(self, nominal=(nominal, 1), deviation=(deviation, 1), lower=(lower, 1), upper=(upper, 1))
-        self._uncertain = [i for i in range(p) if bool((deviation[..., i] > 0).any())]
+        self._uncertain = [i for i in range(p) if not none_left(deviation[..., i] > 0)]
 
     def initial_estimate(self, q: Tensor) -> DynamicsEstimate:
         """The nominal parameters, before anything was seen of configurations q (..., n)."""

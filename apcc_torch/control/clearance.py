@@ -20,7 +20,7 @@ from apcc_torch.control.obstacles import Obstacle, length_and_direction
 from apcc_torch.control.tasks import JointedModel
 from apcc_torch.errors import ValueRangeError
 from apcc_torch.model.abscissae import decouple
-from apcc_torch.part import hold
+from apcc_torch.part import Part, hold
 from apcc_torch.settings import Setting, aligned, check_setting
 
 
@@ -35,7 +35,7 @@ class Clearance(NamedTuple):
     self: Tensor
 
 
-class ClearanceCost(nn.Module):
+class ClearanceCost(Part):
     """The cost of the module's head, its gradient, and the clearance itself.
 
     Args:

@@ -143,7 +143,8 @@ class CompositeController(Part):
         self.kinematic = kinematic
         base = kinematic.backbone.base_rotation
         self.dynamics = DynamicsRegressor(kinematic.routing, base, s.damping_ratio) if regressor is None else regressor
-        self.law = _law(s) if law is None else law
+        with base.device:  # where numbers become tensors
+            self.law = _law(s) if law is None else law
         self.hold(s)
 
     @property

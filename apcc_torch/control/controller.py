@@ -121,7 +121,8 @@ class APCCController(Part):
             solver,
             laws,
             control.controller,
-            bounds=LengthBounds(lengths, feedback.abscissae, control.bounds),
+            # Clones, so that what is trained of the arm is trained as what it is, and the bounds stay.
+            bounds=LengthBounds(lengths.clone(), feedback.abscissae.clone(), control.bounds),
             routing=arm.routing(),
             pose_filter=None if control.pose_filter is None else PoseFilter(control.pose_filter),
             integral=None if control.integral is None else TaskIntegral(control.integral),

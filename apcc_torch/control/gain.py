@@ -6,8 +6,9 @@ import torch
 from torch import Tensor, nn
 
 from apcc_torch.errors import ShapeError, ValueRangeError
-from apcc_torch.settings import Numbers, spread
+from apcc_torch.modes import holds
 from apcc_torch.shapes import check_finite, check_tensor
+from apcc_torch.spread import Numbers, spread
 
 
 def gain_matrix(name: str, gain: Numbers, n: int) -> Tensor:
@@ -35,9 +36,9 @@ def gain_matrix(name: str, gain: Numbers, n: int) -> Tensor:
     check_tensor(name, value, (n, n))
     check_finite(name, value)
     number = value.detach()
-    if float((number - number.mT).abs().amax()) > 1e-6 * float(number.abs().amax()):
+    if not holds((number - number.mT).abs().amax() <= 1e-6 * number.abs().amax()):
         raise ValueRangeError(f"{name} must be symmetric")
-    lowest = float(torch.linalg.eigvalsh(number).amin())
-    if lowest <= 0:
-        raise ValueRangeError(f"{name} must be positive definite, its lowest eigenvalue is {lowest:g}")
+    lowest = torch.linalg.eigvalsh(number).amin()
+    if not holds(lowest > 0):
+        raise ValueRangeError(f"{name} must be positive definite, its lowest eigenvalue is {float(lowest):g}")
     return value

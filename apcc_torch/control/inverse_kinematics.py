@@ -13,8 +13,9 @@ from apcc_torch.control.gain import gain_matrix
 from apcc_torch.linalg import damped_pseudo_inverse
 from apcc_torch.model.coordinates import CONSTANT_CURVATURE, Coordinates
 from apcc_torch.part import Part, hold_rows
-from apcc_torch.settings import OURS, PAPER, Numbers, Setting, Settings, aligned, resolved, setting, spread
+from apcc_torch.settings import OURS, PAPER, Setting, Settings, aligned, resolved, setting
 from apcc_torch.shapes import check_finite, check_same, check_tensor
+from apcc_torch.spread import Numbers, spread
 
 
 def elongation_cost(
@@ -151,7 +152,8 @@ class InverseKinematics(Part):
         hold_rows(self, K=(gain_matrix("K", s.K, 3), 2))
         for name, value in {"null_weights": s.null_weights, "null_bends": s.null_bends}.items():
             if value is not None:
-                size = n_sections or (len(value) if isinstance(value, Sequence) else 1)
+                own = value.shape[-1] if isinstance(value, Tensor) and value.dim() else 1
+                size = n_sections or (len(value) if isinstance(value, Sequence) else own)
                 hold_rows(self, **{name: (check_finite(name, spread(name, value, size)), 1)})
 
     def forward(self, J_hat: Tensor, e: Tensor, xdot_d: Tensor, q: Tensor, dt: Tensor | None = None) -> Tensor:

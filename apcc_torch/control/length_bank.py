@@ -24,9 +24,11 @@ from apcc_torch.estimation.sensor_curve import SensorCurveSettings
 from apcc_torch.estimation.state_feedback import StateFeedback
 from apcc_torch.model.abscissae import located
 from apcc_torch.model.kinematic_model import KinematicModel
-from apcc_torch.part import hold_rows
-from apcc_torch.settings import OURS, Setting, aligned, is_on, is_profile, resolved, setting
+from apcc_torch.modes import holds, none_left, values_of
+from apcc_torch.part import hold_rows, refuse_parameter
+from apcc_torch.settings import OURS, Setting, aligned, is_on, resolved, setting
 from apcc_torch.shapes import check_finite, check_tensor
+from apcc_torch.spread import is_profile
 
 UNSEEN = 1.0
 """V of a model before its first visit, m^2: more than any arm can leave, and finite, so that gradients are."""
@@ -144,11 +146,13 @@ class LengthBank(LengthLaw):
     def __init__(self, nominal: Tensor, feedback: StateFeedback, *settings: Any, **changes: Any) -> None:
         super().__init__()
         s = resolved(LengthBankSettings, settings, changes)
+        refuse_parameter("nominal", nominal, "the bank's models are made of it once; hand in a plain tensor")
         check_finite("nominal", check_tensor("nominal", nominal, (None,)))
         self.feedback = feedback
         self.curve = curve_of(feedback, s)
         self.hold(s)
-        models = candidates(nominal, lists_of(s.shares, nominal.shape[-1] - 1), feedback.abscissae)
+        with nominal.device:  # where numbers become tensors
+            models = candidates(nominal, lists_of(s.shares, nominal.shape[-1] - 1), feedback.abscissae)
         hold_rows(self, nominal=(nominal, 1), candidates=(models, 2))
 
     def _hold_one(self, name: str, value: Any, trailing: int) -> None:
@@ -241,7 +245,7 @@ def candidates(nominal: Tensor, lists: Sequence[Tensor], abscissae: Tensor) -> T
         raise ConfigError(f"a bank of models with {n_b} sections needs at least {n_b} sensors, got {k}")
     combinations = itertools.product(*(each.unbind(-1) for each in lists)) if lists else ()
     every = (torch.stack(torch.broadcast_tensors(*factors), dim=-1) for factors in combinations)
-    others = [factors.to(nominal) for factors in every if bool((factors != 1.0).any())]
+    others = [factors.to(nominal) for factors in every if not none_left(factors != 1.0)]
     if not others:
         raise ConfigError(f"a bank needs two sections or more and shares other than 1, got {n_b} sections")
     combined = torch.stack(others, dim=-2)
@@ -250,7 +254,10 @@ def candidates(nominal: Tensor, lists: Sequence[Tensor], abscissae: Tensor) -> T
     made = torch.cat((first, last.expand(*first.shape[:-1], 1)), dim=-1)
     kept = (made[..., -1] > 0) & _told_apart(made, abscissae.to(nominal).unsqueeze(-2))
     kept = kept.reshape(-1, kept.shape[-1]).all(0)  # in every row, for rows share the number of models
-    return torch.cat((nominal.unsqueeze(-2).expand(*made.shape[:-2], 1, n_b), made[..., kept, :]), dim=-2)
+    places = values_of(kept)
+    if places is not None:  # else nothing is known of them, and all stay
+        made = made[..., places, :]
+    return torch.cat((nominal.unsqueeze(-2).expand(*made.shape[:-2], 1, n_b), made), dim=-2)
 
 
 def lists_of(shares: Shares | Tensor, sections: int) -> list[Tensor]:
@@ -262,11 +269,11 @@ def lists_of(shares: Shares | Tensor, sections: int) -> list[Tensor]:
     if isinstance(shares, Tensor):
         rows = list(shares.split(1, dim=-2))
         return rows * sections if len(rows) == 1 else rows
-    entries = list(shares)
+    entries: list[Any] = list(shares)
     if is_profile(entries):
         # Each section takes the list of its place along the arm.
-        lists, m = entries[1:], len(entries) - 1
-        entries = [lists[min((2 * i + 1) * m // (2 * sections), m - 1)] for i in range(sections if m else 0)]
+        profile, m = entries[1:], len(entries) - 1
+        entries = [profile[min((2 * i + 1) * m // (2 * sections), m - 1)] for i in range(sections if m else 0)]
     own = [entry for entry in entries if isinstance(entry, list | tuple | Tensor)]
     alike = [entry for entry in entries if not isinstance(entry, list | tuple | Tensor)]
     if own and (alike or len(own) != sections):
@@ -275,7 +282,7 @@ def lists_of(shares: Shares | Tensor, sections: int) -> list[Tensor]:
     listed = [share for group in every if not isinstance(group, Tensor) for share in group]
     if all(isinstance(share, int | float) for share in listed):
         lists = [torch.as_tensor(group, dtype=torch.float64) for group in every]
-        if all(group.numel() > 0 and bool(((group > 0) & torch.isfinite(group)).all()) for group in lists):
+        if all(group.numel() > 0 and holds((group > 0) & torch.isfinite(group)) for group in lists):
             return lists
     raise ValueRangeError(f"shares must be positive and finite numbers, at least one, got {shares}")
 
@@ -285,8 +292,8 @@ def _told_apart(lengths: Tensor, abscissae: Tensor) -> Tensor:
     n_b, k = lengths.shape[-1], abscissae.shape[-1]
     ends = torch.nn.functional.pad(lengths.cumsum(-1), (1, 1))
     ends[..., -1] = float("inf")  # nothing follows the last section
-    told = torch.zeros(torch.broadcast_shapes(lengths.shape[:-1], abscissae.shape[:-1]), dtype=torch.bool)
+    told = lengths.new_zeros(torch.broadcast_shapes(lengths.shape[:-1], abscissae.shape[:-1]), dtype=torch.bool)
     for chosen in itertools.combinations(range(k), n_b):
         X = abscissae[..., list(chosen)]
-        told = told.to(X.device) | ((ends[..., :n_b] < X) & (ends[..., 2:] > X)).all(-1)
+        told = told | ((ends[..., :n_b] < X) & (ends[..., 2:] > X)).all(-1)
     return told

@@ -9,9 +9,11 @@ import torch
 from torch import Tensor
 
 from apcc_torch.errors import ConfigError, ValueRangeError
-from apcc_torch.part import Part, hold_rows
-from apcc_torch.settings import OURS, Numbers, Settings, resolved, setting, spread
-from apcc_torch.shapes import check_finite, check_tensor
+from apcc_torch.modes import holds, none_left
+from apcc_torch.part import Part, hold_rows, refuse_parameter
+from apcc_torch.settings import OURS, Settings, resolved, setting
+from apcc_torch.shapes import check_finite, check_positive, check_tensor
+from apcc_torch.spread import Numbers, spread
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,7 +49,7 @@ class LengthBounds(Part):
 
     Raises:
         ConfigError: "each" has other than one sensor a section.
-        ValueRangeError: Bounds cross.
+        ValueRangeError: Bounds cross, or the abscissae do not increase.
 
     Example:
         >>> bounds = LengthBounds(torch.tensor([0.2, 0.25]), torch.tensor([0.2, 0.45]), lower=0.75, reach="last")
@@ -63,17 +65,22 @@ class LengthBounds(Part):
     def __init__(self, nominal: Tensor, abscissae: Tensor | None = None, *settings: Any, **changes: Any) -> None:
         super().__init__()
         s = resolved(LengthBoundsSettings, settings, changes)
+        for name, value in {"nominal": nominal, "abscissae": abscissae, "lower": s.lower, "upper": s.upper}.items():
+            refuse_parameter(name, value, "bounds in metres are made of it once; hand in a plain tensor")
         check_finite("nominal", check_tensor("nominal", nominal, (None,)))
         n_b = nominal.shape[-1]
-        least, largest = (
-            None if share is None else spread(name, share, n_b).to(nominal) * nominal
-            for name, share in {"lower": s.lower, "upper": s.upper}.items()
-        )
-        if least is not None and largest is not None and bool((least >= largest).any()):
+        with nominal.device:  # where numbers become tensors
+            least, largest = (
+                None if share is None else spread(name, share, n_b).to(nominal) * nominal
+                for name, share in {"lower": s.lower, "upper": s.upper}.items()
+            )
+        if least is not None and largest is not None and not holds(least < largest):
             raise ValueRangeError(f"lower must be below upper for every section, got {s.lower} and {s.upper}")
         hold_rows(self, least=(least, 1), largest=(largest, 1), ends=(_ends(s.reach, abscissae, n_b), 1))
         # How many sections each wanted end lies behind; one that is zero asks for nothing.
-        self._reaching = [] if self.ends is None else [i + 1 for i in range(n_b) if bool((self.ends[..., i] > 0).any())]
+        self._reaching = (
+            [] if self.ends is None else [i + 1 for i in range(n_b) if not none_left(self.ends[..., i] > 0)]
+        )
         self.hold(s)
 
     def forward(self, pi_hat: Tensor, metric: Tensor | None = None) -> Tensor:
@@ -106,6 +113,8 @@ def _ends(reach: str, abscissae: Tensor | None, n_b: int) -> Tensor | None:
         return None
     if abscissae is None:
         raise ConfigError(f"reach={reach} needs the sensors' abscissae")
+    check_positive("the last of the abscissae", check_tensor("abscissae", abscissae, (None,))[..., -1])
+    check_positive("each step of the abscissae", abscissae.diff(dim=-1))
     if reach == "each":
         if abscissae.shape[-1] != n_b:
             raise ConfigError(f"reach=each needs one sensor a section, got {abscissae.shape[-1]} for {n_b}")

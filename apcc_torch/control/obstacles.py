@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from apcc_torch.errors import ValueRangeError
-from apcc_torch.part import hold, hold_rows
+from apcc_torch.modes import holds
+from apcc_torch.part import Part, hold, hold_rows
 from apcc_torch.settings import Setting, aligned, check_setting
 from apcc_torch.shapes import check_finite, check_tensor
 
 
-class Obstacle(nn.Module):
+class Obstacle(Part):
     """A body with a signed distance: negative inside."""
 
     def forward(self, p: Tensor) -> tuple[Tensor, Tensor]:
@@ -82,14 +83,13 @@ class HalfSpace(Obstacle):
         super().__init__()
         check_finite("point", check_tensor("point", point, (3,)))
         check_finite("normal", check_tensor("normal", normal, (3,)))
-        length = normal.norm(dim=-1, keepdim=True)
-        if not bool((length > 0).all()):
+        if not holds(normal.norm(dim=-1) > 0):
             raise ValueRangeError("normal must not be zero")
-        hold_rows(self, point=(point, 1), normal=(normal / length, 1))
+        hold_rows(self, point=(point, 1), normal=(normal, 1))
 
     def forward(self, p: Tensor) -> tuple[Tensor, Tensor]:
         """See `Obstacle`."""
-        normal = self.normal.to(p).unsqueeze(-2)
+        normal = (self.normal / self.normal.norm(dim=-1, keepdim=True)).to(p).unsqueeze(-2)
         distance = ((p - self.point.to(p).unsqueeze(-2)) * normal).sum(-1)
         return distance, normal.expand_as(p)
 

@@ -17,6 +17,7 @@ from apcc_torch.control.tendon_limits import ConstrainedVelocity, TendonLimits
 from apcc_torch.errors import ConfigError
 from apcc_torch.lie import se3
 from apcc_torch.model.kinematic_model import Placed
+from apcc_torch.modes import values_of
 
 SAME_PLACE = 1e-6
 """How near a sensor must be to a task's point to measure it, m."""
@@ -115,7 +116,7 @@ def _sensor(task: Task, abscissae: Tensor) -> int | None:
     if task.abscissa is None:
         return len(abscissae) - 1
     near = (abscissae - task.abscissa).abs() < SAME_PLACE
-    return int(near.nonzero()[0]) if bool(near.any()) else None
+    return values_of(near.nonzero()[0, 0]) if values_of(near.any()) else None
 
 
 def _measured(measurement: Measurement, sensor: int | None, T: Tensor) -> Tensor:

@@ -22,7 +22,7 @@ from apcc_torch.control.tasks import JointedModel, Task, TaskRate, TaskTarget, w
 from apcc_torch.errors import ShapeError, ValueRangeError
 from apcc_torch.linalg import damped_pseudo_inverse
 from apcc_torch.model.abscissae import decouple
-from apcc_torch.part import hold, hold_rows
+from apcc_torch.part import Part, hold, hold_rows
 from apcc_torch.settings import Setting, aligned, check_setting
 from apcc_torch.shapes import check_positive, check_tensor
 
@@ -34,7 +34,7 @@ class RateBounds(NamedTuple):
     upper: Tensor
 
 
-class TaskStack(nn.Module):
+class TaskStack(Part):
     """Tasks with weights and priorities, solved together; see the module's head.
 
     The model may be any arm whose points have poses and body Jacobians; a point is found by its material abscissa.
@@ -50,7 +50,7 @@ class TaskStack(nn.Module):
     """
 
     damping: Setting
-    spread: Tensor | None
+    coordinate_weights: Tensor | None
 
     def __init__(
         self, tasks: Sequence[Task], damping: Setting = 1e-3, coordinate_weights: Tensor | None = None
@@ -60,10 +60,9 @@ class TaskStack(nn.Module):
             raise ValueRangeError("tasks must hold at least one task")
         check_setting("damping", damping, zero=True)
         hold(self, damping=damping)
-        spread = None
         if coordinate_weights is not None:
-            spread = check_positive("coordinate_weights", coordinate_weights).rsqrt()
-        hold_rows(self, spread=(spread, 1))
+            check_positive("coordinate_weights", coordinate_weights)
+        hold_rows(self, coordinate_weights=(coordinate_weights, 1))
         self.tasks = nn.ModuleList(tasks)
 
     @property
@@ -154,6 +153,7 @@ class TaskStack(nn.Module):
 
     def _solved(self, rates: Sequence[TaskRate], descent: Tensor | None) -> Tensor:
         damping = aligned(self.damping, 2)
+        spread = None if self.coordinate_weights is None else self.coordinate_weights.rsqrt()
         qdot: Tensor | None = None
         N: Tensor | None = None
         J_free: Tensor | None = None
@@ -161,13 +161,13 @@ class TaskStack(nn.Module):
             if J_free is not None:
                 N = _left_free(J_free, N, damping)
             J, v = weighted_rows([rates[i] for i in level])
-            if self.spread is not None:
-                J = J * self.spread.to(J).unsqueeze(-2)
+            if spread is not None:
+                J = J * spread.to(J).unsqueeze(-2)
             J_free = J if N is None else J @ N
             J_pinv = damped_pseudo_inverse(J_free, damping)
             qdot = J_pinv @ (v if qdot is None else v - J @ qdot) + (0.0 if qdot is None else qdot)
         assert qdot is not None and J_free is not None  # there is at least one task
-        spread = None if self.spread is None else self.spread.to(qdot)
+        spread = None if spread is None else spread.to(qdot)
         if descent is not None:
             down = (descent if spread is None else descent / spread).unsqueeze(-1)
             qdot = qdot + (down if N is None else N @ down) - J_pinv @ (J_free @ down)

@@ -19,12 +19,12 @@ from math import pi
 from typing import NamedTuple, Protocol
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from apcc_torch.control.gain import gain_matrix
 from apcc_torch.errors import ValueRangeError
 from apcc_torch.lie import so3
-from apcc_torch.part import hold, hold_rows
+from apcc_torch.part import Part, hold, hold_rows
 from apcc_torch.settings import Setting, check_setting
 
 ROWS = {"position": 3, "orientation": 3, "direction": 2, "pose": 6}
@@ -72,7 +72,7 @@ class JointedModel(Protocol):
     def pose_and_body_jacobian(self, q: Tensor, L0: Tensor, X_tilde: Tensor, j: Tensor) -> tuple[Tensor, Tensor]: ...
 
 
-class Task(nn.Module):
+class Task(Part):
     """One task of one point; see the module's head. Each number may also be a tensor (...), one a row.
 
     Args:

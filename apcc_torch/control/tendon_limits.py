@@ -17,11 +17,12 @@ from typing import Any, NamedTuple
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import Tensor, nn
+from torch import Tensor
 
 from apcc_torch.control.tasks import TaskRate, weighted_rows
 from apcc_torch.errors import ConfigError, ValueRangeError
-from apcc_torch.part import hold, hold_rows
+from apcc_torch.modes import holds
+from apcc_torch.part import Part, hold, hold_rows, refuse_parameter
 from apcc_torch.settings import Setting, aligned, check_setting
 from apcc_torch.shapes import batch_shape, check_tensor
 
@@ -51,7 +52,7 @@ class SolverStatus(IntEnum):
     NOT_FINITE = 3
 
 
-class TendonLimits(nn.Module):
+class TendonLimits(Part):
     """What tendons may do. Each is a number for all or (..., n_a).
 
     Args:
@@ -71,11 +72,11 @@ class TendonLimits(nn.Module):
         super().__init__()
         check_tensor("lower", lower, (None,))
         check_tensor("upper", upper, (lower.shape[-1],))
-        if not bool((lower < upper).all()):
+        if not holds(lower < upper):
             raise ValueRangeError("lower must be below upper for every tendon")
         if rate is not None:
             check_tensor("rate", rate, (lower.shape[-1],))
-            if not bool((rate > 0).all()):
+            if not holds(rate > 0):
                 raise ValueRangeError("rate must be positive for every tendon")
         hold_rows(self, lower=(lower, 1), upper=(upper, 1), rate=(rate, 1))
 
@@ -103,7 +104,7 @@ class Constrained(NamedTuple):
     status: Tensor
 
 
-class ConstrainedVelocity(nn.Module):
+class ConstrainedVelocity(Part):
     """Solves the program of the module's head, row by row on the CPU.
 
     It costs some tens of microseconds a row, has no gradient and cannot be compiled: it is meant for one arm, or a few.
@@ -123,6 +124,7 @@ class ConstrainedVelocity(nn.Module):
         super().__init__()
         if daqp is None:
             raise ConfigError("ConstrainedVelocity needs daqp: pip install 'apcc-torch[qp]'")
+        refuse_parameter("damping", damping, "the program has no gradient; hand in a number")
         hold(self, damping=check_setting("damping", damping))
 
     def forward(

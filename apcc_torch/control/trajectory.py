@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import Protocol
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from apcc_torch.control.step_io import Target
-from apcc_torch.part import hold, hold_rows
+from apcc_torch.part import Part, hold, hold_rows
 from apcc_torch.settings import Setting, aligned, check_setting
 from apcc_torch.shapes import check_finite, check_tensor
 
@@ -19,7 +19,7 @@ class Trajectory(Protocol):
     def __call__(self, time: Tensor) -> Target: ...
 
 
-class SineTrajectory(nn.Module):
+class SineTrajectory(Part):
     """r(t) = r_0 + A sin(omega t). Eq. (51) [Dalenberg].
 
     Args:
@@ -50,7 +50,7 @@ class SineTrajectory(nn.Module):
         return Target(x_d, aligned(self.omega, 1) * A * torch.cos(phase))
 
 
-class SetPoint(nn.Module):
+class SetPoint(Part):
     """A constant desired position.
 
     Args:

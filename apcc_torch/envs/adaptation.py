@@ -2,92 +2,131 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 from torch.func import functional_call
 
-from apcc_torch.control.adaptation import AdaptiveLaw
+from apcc_torch.control.adaptation import AdaptiveLaw, AdaptiveLawSettings
+from apcc_torch.control.control_settings import ControlSettings
 from apcc_torch.control.controller import APCCController
-from apcc_torch.control.inverse_kinematics import InverseKinematics
 from apcc_torch.control.step_io import Command, ControllerState, Measurement, Target
-from apcc_torch.envs.actions import Limits
-from apcc_torch.envs.arm import Arm
-from apcc_torch.estimation.savitzky_golay import SavitzkyGolay
-from apcc_torch.estimation.state_feedback import StateFeedback
-from apcc_torch.model.abscissae import decouple
+from apcc_torch.envs.actions import ActionSettings
+from apcc_torch.envs.backbone_points import Positions
+from apcc_torch.envs.places import middles_and_ends, places, sensors_of
+from apcc_torch.errors import ConfigError
+from apcc_torch.model.abscissae import decouple, section_fractions
+from apcc_torch.model.arm import Arm
+from apcc_torch.model.backbone import PCCBackbone
+from apcc_torch.part import Part, part_of
+from apcc_torch.settings import OURS, resolved, setting
+from apcc_torch.spread import ALONG
 
-GAMMA = (9.0, 4.25, 3.5)
-"""Adaptation gains Gamma of a zero action; one decade up they are the paper's of section V-A."""
+DYNAMICS = ("kinematic", "dynamic")
 
-TASK_GAIN = {"kinematic": 1.0, "dynamic": 1.8}
-"""K of Eq. (16), 1/s: the paper's of sections V-A and V-B."""
+CONTROL: Mapping[str, Any] = {
+    "mode": "position",  # the sensors tell no orientations
+    "velocity": "commanded",
+    "window": 3,  # of a filter that nothing reads then
+    "order": 1,
+    "gamma": [ALONG, 9.0, 4.25, 3.5],  # a decade up they are section V-A's
+    "residual": None,
+}
+"""How the controller of an environment differs from the shipped one."""
+
+BY_DYNAMICS: Mapping[str, Mapping[str, Any]] = {"kinematic": {"K": 1.0, "null_gain": 1.0}, "dynamic": {"K": 1.8}}
+"""K as in sections V-A and V-B."""
 
 
-class AdaptiveLoop(nn.Module):
+@dataclass(frozen=True, kw_only=True)
+class AdaptiveLoopSettings(ActionSettings):
+    """Settings of `AdaptiveLoop`, and what moves: the kinematic or the dynamic arm."""
+
+    dynamics: str = setting(
+        "kinematic", "", OURS, "kinematic, the arm follows q_d exactly; dynamic, section V-B's plant", choices=DYNAMICS
+    )
+    control: Mapping[str, Any] = setting(
+        factory=dict,
+        unit="",
+        source=OURS,
+        meaning="adaptation: what differs on the controller, by name as for `APCCController.for_arm`",
+    )
+
+    def check(self) -> None:
+        """Raises ConfigError or ValueRangeError where the controller cannot be."""
+        super().check()
+        control = self.control_settings()
+        if self.dynamics == "kinematic" and part_of(control.model) is not PCCBackbone:
+            raise ConfigError("model must be PCCBackbone where the arm is kinematic: it follows q_d itself")
+        if self.action == "adaptation" and not isinstance(control.adaptation, AdaptiveLawSettings):
+            raise ConfigError("adaptation must be an AdaptiveLaw: the action sets its gamma")
+
+    def control_settings(self) -> ControlSettings:
+        """The controller's settings."""
+        bounds = {"bend_bound": self.bend_bound, "elongation_bound": self.elongation_bound}
+        return ControlSettings().with_keys({**CONTROL, **BY_DYNAMICS[self.dynamics], **bounds, **self.control})
+
+
+class AdaptiveLoop(Part):
     """The controller in the loop, with gains that each row sets anew at every step.
 
-    Algorithm 2 fits the sensors' positions, Eq. (32); the law is Eq. (15) with the estimator-aware regressor,
-    normalised, within 60 to 140 % of the nominal lengths. Where the sensors and racks of a row's arm lie along it is
-    known to the controller, as in the paper; how long its sections are is not.
+    Algorithm 2 fits the sensors' positions, Eq. (32); the law is Eq. (15) as it ships. Where the sensors and racks of a
+    row's arm lie along it is known to the controller, as in the paper; how long its sections are is not.
 
     Args:
         arm: The arm.
-        limits: Bounds of q_d, and the range of the gains.
-        dynamics: "kinematic" or "dynamic".
         like: Dtype and device.
+        *settings, **changes: See `AdaptiveLoopSettings`.
     """
+
+    settings_type = AdaptiveLoopSettings
 
     gamma: Tensor
     nominal: Tensor
+    axis: Tensor
+    between: Tensor
+    decades: float
 
-    def __init__(self, arm: Arm, limits: Limits, dynamics: str, like: Tensor) -> None:
+    def __init__(self, arm: Arm, like: Tensor, *settings: Any, **changes: Any) -> None:
         super().__init__()
-        n_b = arm.n_sections
-        nominal = arm.lengths(like)
-        ends = nominal.cumsum(-1)
-        backbone = arm.model(n_b, base_rotation=arm.base(like))  # type: ignore[call-arg]
-        self.limits = limits
-        self.per_rack = arm.tendons_per_rack
-        self.routed = dynamics == "dynamic"
-        law = AdaptiveLaw(
-            n_b,
-            like.new_tensor(GAMMA),
-            lower=0.6 * nominal,
-            upper=1.4 * nominal,
-            normalisation=10.0,
-            dead_zone=6e-4,
-            reach=ends[-1:].expand(n_b) * like.new_tensor((0.0,) * (n_b - 1) + (1.0,)),
-        )
-        self.controller = APCCController(
-            backbone,
-            StateFeedback(backbone, ends, mode="position"),
-            SavitzkyGolay(3, 1),  # the commanded velocity is used
-            InverseKinematics(
-                TASK_GAIN[dynamics],
-                null_gain=1.0 if dynamics == "kinematic" else 0.2,
-                coordinates=backbone.coordinates,
-            ).to(like),
-            law,
-            routing=arm.routing(like) if self.routed else None,
-            velocity="commanded",
-            bend_bound=limits.bend_bound,
-            elongation_bound=limits.elongation_bound,
-        )
-        self.register_buffer("gamma", like.new_tensor(GAMMA))
-        self.register_buffer("nominal", nominal)
+        s = resolved(AdaptiveLoopSettings, settings, changes)
+        self.hold(s)
+        n_b, lengths = arm.n_sections, arm.rest_lengths()
+        sensors, routing, base = sensors_of(arm), arm.routing(), arm.base_rotation().to(like)
+        seen_arm = arm.changed(sensors=sensors.on(lengths), true_sensors=None)
+        control = s.control_settings().with_keys({"elongation_bound": s.elongation(arm)})
+        self.controller = APCCController.on(seen_arm, control).to(like)
+        self.routed = s.dynamics == "dynamic"
+        if not self.routed:
+            self.controller.routing = None
+        self.register_buffer("nominal", lengths.to(like))
+        law = self.controller.laws[0]
+        assert isinstance(law, AdaptiveLaw)  # see `AdaptiveLoopSettings.check`
+        self.register_buffer("gamma", law.gamma.diagonal(dim1=-2, dim2=-1))
+        self.sensors, self.backbone = sensors.to(like), middles_and_ends(n_b).to(like)
+        self.racks, self.starts = (places(ends, lengths).to(like) for ends in (routing.anchors, routing.starts))
+        # At rest the arm is straight along its base's axis.
+        self.register_buffer("axis", base[:, 2])
+        before = section_fractions(self.sensors.share, self.sensors.section, n_b)
+        self.register_buffer("between", before.diff(dim=0, prepend=torch.zeros_like(before[:1])))
 
     def initial(self, seen: Tensor, lengths: Tensor, estimate: Tensor) -> ControllerState:
-        """The state on arms that hang straight and are still.
+        """The state on arms that are straight and still.
 
         Args:
-            seen: (N, n_b, 3) sensor positions, m.
+            seen: (N, k, 3) sensor positions, m.
             lengths: (N, n_b) the sections' true lengths over the nominal ones.
             estimate: (N, n_b) first estimates over the true lengths.
         """
         pi_hat = self.nominal * lengths * estimate
-        # A hanging arm without bends: each section of the model stretches to where its sensor is.
-        depth = -seen[..., 2]
-        stretch = depth.diff(dim=-1, prepend=torch.zeros_like(depth[..., :1])) - pi_hat
+        # What the distance between two sensors exceeds the model's by is shared by the sections between them.
+        apart = (seen * self.axis).sum(-1).diff(dim=-1, prepend=torch.zeros_like(seen[..., :1, 0]))
+        parts = self.between * pi_hat.unsqueeze(-2)
+        whole = parts.sum(-1)
+        stretch = ((apart - whole).unsqueeze(-1) * (parts / whole.clamp(min=1e-9).unsqueeze(-1))).sum(-2)
         q = self.controller.backbone.coordinates.on_elongations(stretch)
         return self.controller.initial_state(q, pi_hat)._replace(q_d=torch.zeros_like(q))
 
@@ -98,20 +137,22 @@ class AdaptiveLoop(nn.Module):
 
         Args:
             state: From `initial` or the last step.
-            action: (N, n_b) in [-1, 1]: Gamma is `GAMMA` times 10^(decades action).
-            seen: (N, n_b, 3) sensor positions, m.
+            action: (N, n_b) in [-1, 1]: Gamma is the law's times 10^(decades action).
+            seen: (N, k, 3) sensor positions, m.
             time: (N,) s.
             target: Where the tip should be.
             lengths: (N, n_b) the sections' true lengths over the nominal ones, which place sensors and racks.
         """
-        ends = (self.nominal * lengths).cumsum(-1)
+        true = self.nominal * lengths
+        X = self.sensors.on(true)
         gains = {
-            "law.gamma": torch.diag_embed(self.gamma * 10.0 ** (self.limits.decades * action)),
-            "law.reach": torch.nn.functional.pad(ends[..., -1:], (ends.shape[-1] - 1, 0)),
-            "feedback.abscissae": ends,
+            "laws.0.gamma": torch.diag_embed(self.gamma * 10.0 ** (self.decades * action)),
+            "bounds.ends": torch.nn.functional.pad(X[..., -1:], (true.shape[-1] - 1, 0)),
+            "feedback.abscissae": X,
         }
         if self.routed:
-            gains["routing.anchors"] = ends.repeat_interleave(self.per_rack, dim=-1)
+            gains["routing.anchors"] = self.racks.on(true)
+            gains["routing.starts"] = self.starts.on(true)
         upright = torch.eye(4, dtype=seen.dtype, device=seen.device)[:, :3].expand(*seen.shape[:-1], 4, 3)
         place = torch.nn.functional.pad(seen, (0, 1), value=1.0)
         T = torch.cat((upright, place.unsqueeze(-1)), dim=-1)  # orientations are not used
@@ -119,15 +160,14 @@ class AdaptiveLoop(nn.Module):
         later: tuple[ControllerState, Command] = functional_call(self.controller, gains, arguments)
         return later
 
-    def model_points(self, state: ControllerState, lengths: Tensor) -> Tensor:
-        """(N, 6, 3) m: where the virtual model has the middles and ends of the true sections, by algorithm 1.
+    def model_points(self, state: ControllerState, lengths: Tensor) -> Positions:
+        """Where the virtual model has the middles and ends of the true sections, and the sensors, by algorithm 1.
 
         Args:
             state: The controller's.
             lengths: (N, n_b) the sections' true lengths over the nominal ones.
         """
         true = self.nominal * lengths
-        ends = true.cumsum(-1)
-        X = torch.stack((ends - 0.5 * true, ends), dim=-1).flatten(-2)
+        X = torch.cat((self.backbone.on(true), self.sensors.on(true)), dim=-1)
         T = self.controller.backbone.pose(state.q_bar, state.pi_hat, *decouple(X, state.pi_hat))
-        return T[..., :3, 3]
+        return Positions(*T[..., :3, 3].split((len(self.backbone.share), len(self.sensors.share)), dim=-2))

@@ -2,10 +2,66 @@
 
 from __future__ import annotations
 
-import torch
-from torch import Tensor
+from typing import NamedTuple
 
+import torch
+from torch import Tensor, nn
+
+from apcc_torch.envs.places import Places
 from apcc_torch.model.inertia import base_frames, bending, rotate
+
+
+class Positions(NamedTuple):
+    """Where N arms are, world frame, m.
+
+    backbone: (N, 2 n_b, 3) the middle and the end of every section of the model; the last one is the tip.
+    sensors: (N, k, 3).
+    """
+
+    backbone: Tensor
+    sensors: Tensor
+
+
+class BackbonePoints(nn.Module):
+    """The positions of chosen material points.
+
+    Args:
+        backbone: The middles and ends of the model's sections.
+        sensors: Where the sensors are.
+        parts: Equal sections of the arm for each of the model.
+        base: (3, 3) arm base to world.
+    """
+
+    base: Tensor
+    powers: Tensor
+    backbone: Tensor
+    sensors: Tensor
+
+    def __init__(self, backbone: Places, sensors: Places, parts: int, base: Tensor) -> None:
+        super().__init__()
+        local, section = zip(*(_in_parts(each, parts) for each in (backbone, sensors)), strict=True)
+        # The same shares are taken of every section, its end last; of the points that this gives, those asked for.
+        shares = sorted({1.0, *torch.cat(local).tolist()})
+        index = [
+            at * len(shares) + torch.tensor([shares.index(share) for share in each.tolist()])
+            for each, at in zip(local, section, strict=True)
+        ]
+        self.register_buffer("base", base)
+        self.register_buffer("powers", powers(tuple(shares), base))
+        self.register_buffer("backbone", index[0].to(base.device))
+        self.register_buffer("sensors", index[1].to(base.device))
+
+    def forward(self, q: Tensor, lengths: Tensor) -> Positions:
+        """The positions on arms with configurations (N, 3 n) and rest lengths (N, n), m."""
+        points = backbone_points(q, lengths, self.base, self.powers)
+        return Positions(points[:, self.backbone], points[:, self.sensors])
+
+
+def _in_parts(at: Places, parts: int) -> tuple[Tensor, Tensor]:
+    """Shares (P,), and indices (P,), of the sections that `at`'s sections are divided into."""
+    along = at.share * parts
+    part = (along.ceil() - 1.0).clamp(min=0.0)
+    return (along - part).round(decimals=12), at.section * parts + part.to(torch.int64)
 
 
 def powers(fractions: tuple[float, ...], like: Tensor) -> Tensor:

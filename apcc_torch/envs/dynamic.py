@@ -1,24 +1,56 @@
-"""The dynamic arm: section V-B's plant of six sections under tendons, whose lengths a PID loop holds."""
+"""The dynamic arm: section V-B's plant of refined sections under tendons, whose lengths a PID loop holds."""
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor, nn
 from torch.func import functional_call
 
 from apcc_torch.control.pid import ramp
-from apcc_torch.envs.arm import Arm
-from apcc_torch.envs.backbone_points import backbone_points, powers
+from apcc_torch.envs.backbone_points import BackbonePoints, Positions
+from apcc_torch.envs.places import middles_and_ends, places, sensors_of
 from apcc_torch.envs.randomisation import RowParameters
+from apcc_torch.errors import ConfigError
 from apcc_torch.linalg import solve_spd
+from apcc_torch.model.arm import Arm, with_changes
 from apcc_torch.model.integrators import ArmState
-from apcc_torch.simulation.plant import Plant
+from apcc_torch.part import Part
+from apcc_torch.reading import read
+from apcc_torch.settings import OURS, Settings, resolved, setting
+from apcc_torch.simulation.plant import Plant, PlantSettings
+
+PLANT = {"substeps": 1}
+"""How the plant of an environment differs from a simulation's: one step of 10 ms stays within 0.1 mm of sixteen."""
+
+
+LEANING_STEPS = 60
+"""Steps to the rest of an arm whose base does not point up or down; gravity bends less than its tendons hold."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class DynamicArmSettings(Settings):
+    """Settings of `DynamicArm`."""
+
+    plant: Mapping[str, Any] = setting(
+        factory=dict, unit="", source=OURS, meaning="dynamic arms: what differs on the plant, keys of `PlantSettings`"
+    )
+
+    def check(self) -> None:
+        """Raises ConfigError or ValueRangeError where the plant has no such key, or a value is out of range."""
+        super().check()
+        self.plant_settings()
+
+    def plant_settings(self) -> PlantSettings:
+        """The plant's settings."""
+        return read({**PLANT, **self.plant}, PlantSettings, "plant")
 
 
 class DynamicState(NamedTuple):
-    """The arm, and the integral z (N, 9) of its tendon loop, m s."""
+    """The arm, and the integral z (N, n_a) of its tendon loop, m s."""
 
     arm: ArmState
     z: Tensor
@@ -39,71 +71,89 @@ class _Moves(nn.Module):
         return DynamicState(arm, z)
 
 
-class _Weight(nn.Module):
-    """The generalized force (N, 18) of gravity on the plant, for `functional_call` likewise."""
+class _AtRest(nn.Module):
+    """Gravity's generalized force (N, n) on the plant, and its stiffness (N, n), for `functional_call` likewise."""
 
     def __init__(self, plant: Plant) -> None:
         super().__init__()
         self.plant = plant
 
-    def forward(self, q: Tensor) -> Tensor:
-        return self.plant.dynamics.gravity(q, self.plant.payload)
+    def forward(self, q: Tensor) -> tuple[Tensor, Tensor]:
+        dynamics = self.plant.dynamics
+        return dynamics.gravity(q, self.plant.payload), dynamics.stiffness_diagonal
 
 
-class DynamicArm(nn.Module):
-    """N arms of six sections; lengths, stiffness and payload may differ from row to row.
+class DynamicArm(Part):
+    """N arms with mass; lengths, stiffness and payload may differ from row to row.
 
-    Sensors and racks sit where the model's sections end, on every row's own arm, so the tendons' B is one for all.
+    Sensors and racks sit at the same shares of their sections on every row's own arm, so the tendons' B is one for all.
 
     Args:
-        arm: Their numbers.
+        arm: What each of them is nominally.
         period: Control period, s.
-        substeps: Plant steps in it.
         varied: Whether lengths or stiffness differ from row to row; the payload always may.
         like: Dtype and device.
+        *settings, **changes: See `DynamicArmSettings`.
+
+    Raises:
+        ConfigError: The true arm has other numbers of sections or tendons.
     """
 
-    nominal: Tensor
-    tips: Tensor
+    settings_type = DynamicArmSettings
 
-    def __init__(self, arm: Arm, period: float, substeps: int, varied: bool, like: Tensor) -> None:
+    nominal: Tensor
+
+    def __init__(self, arm: Arm, period: float, varied: bool, like: Tensor, *settings: Any, **changes: Any) -> None:
         super().__init__()
-        self.arm, self.varied = arm, varied
-        dynamics = arm.dynamics(like)
-        plant = Plant(dynamics, arm.routing(like), arm.pid(), like.new_zeros(()), arm.tendon_damping)
-        self.moves = _Moves(plant, period, substeps)
-        self.register_buffer("nominal", dynamics.lengths)
-        self.register_buffer("tips", powers((1.0,), like))
+        s = resolved(DynamicArmSettings, settings, changes)
+        self.hold(s)
+        own = s.plant_settings()
+        self.arm, self.varied, self.refine = with_changes(arm, own.arm), varied, own.refine
+        if (self.arm.n_sections, self.arm.n_tendons) != (arm.n_sections, arm.n_tendons):
+            raise ConfigError("plant.arm must have as many sections and tendons as the arm")
+        plant = Plant.on(arm, torch.zeros((), dtype=torch.float64), own).to(like)
+        self.moves = _Moves(plant, period, own.substeps)
+        self.leans = bool(plant.dynamics.base_rotation[2, 2].abs() < 1.0 - 1e-9)
+        self.register_buffer("nominal", plant.dynamics.lengths)
+        self.places = BackbonePoints(
+            middles_and_ends(arm.n_sections), sensors_of(self.arm, True), self.refine, plant.dynamics.base_rotation
+        )
+        # Only what a tendon does on its way asks where the racks of a row's own arm are.
+        lengths, routing = self.arm.rest_lengths(), self.arm.routing()
+        ends = {"anchors": routing.anchors, "starts": routing.starts} if plant.transmission is not None else {}
+        self.tendon_ends = {name: places(X, lengths).to(like) for name, X in ends.items()}
 
     def lengths(self, rows: RowParameters) -> Tensor:
-        """(N, 6) true rest lengths, m."""
-        return self.nominal * rows.lengths.repeat_interleave(2, dim=-1)
+        """(N, n_t) true rest lengths of the plant's sections, m."""
+        return self.nominal * rows.lengths.repeat_interleave(self.refine, dim=-1)
 
     def initial(self, rows: RowParameters) -> DynamicState:
         """Arms at rest under gravity, their tendons held at their zero lengths.
 
-        An arm that hangs straight has no force on its bends, and the one on its elongations does not depend on them:
-        (K + K_P B B^T) q = -G(0) holds there, not only near it.
+        A straight arm that hangs or stands has no force on its bends, and the one on its elongations does not depend on
+        them: (K + K_P B B^T) q = -G(0) holds there, not only near it. One that leans finds its rest step by step.
         """
         plant, own = self.moves.plant, self._own(rows)
         zero = torch.zeros_like(self.lengths(rows)).repeat_interleave(3, dim=-1)
-        gravity = functional_call(_Weight(plant), own, (zero,))
-        stiffness = own.get("plant.dynamics.stiffness_diagonal", plant.dynamics.stiffness_diagonal)
-        held = torch.diag_embed(stiffness) + plant.actuation_stiffness
-        q = solve_spd(held.expand(*zero.shape, -1), -gravity.unsqueeze(-1)).squeeze(-1)
+        q = zero
+        for _ in range(LEANING_STEPS if self.leans else 1):
+            gravity, stiffness = functional_call(_AtRest(plant), own, (q,))
+            held = torch.diag_embed(stiffness) + plant.actuation_stiffness
+            q = solve_spd(held.expand(*zero.shape, -1), -gravity.unsqueeze(-1)).squeeze(-1)
         return DynamicState(ArmState(q, zero), torch.zeros_like(plant.lengths(zero)))
 
     def step(self, state: DynamicState, y: Tensor, y_next: Tensor, q_d: Tensor, rows: RowParameters) -> DynamicState:
-        """The arms after one control period in which their tendons' references go from y to y_next (N, 9), m."""
+        """The arms after one control period in which their tendons' references go from y to y_next (N, n_a), m."""
         later: DynamicState = functional_call(self.moves, self._own(rows), (state, y, y_next))
         return later
 
-    def points(self, state: DynamicState, rows: RowParameters) -> Tensor:
-        """(N, 6, 3) m: the end of every section, which are the middle and the end of each of the model's."""
-        return backbone_points(state.arm.q, self.lengths(rows), self.moves.plant.dynamics.base_rotation, self.tips)
+    def points(self, state: DynamicState, rows: RowParameters) -> Positions:
+        """Where they are."""
+        positions: Positions = self.places(state.arm.q, self.lengths(rows))
+        return positions
 
     def tendons(self, state: DynamicState) -> Tensor:
-        """(N, 9) tendon length changes, m."""
+        """(N, n_a) tendon length changes, m."""
         return self.moves.plant.lengths(state.arm.q)
 
     def configuration(self, state: DynamicState) -> Tensor:
@@ -118,14 +168,27 @@ class DynamicArm(nn.Module):
         """The plant's buffers that each row has for itself."""
         own = {"plant.payload": rows.payload}
         if self.varied:
-            lengths, dynamics = self.lengths(rows), self.moves.plant.dynamics
-            # Springs in series: a section is softer as it is longer.
-            factor = (rows.stiffness.unsqueeze(-1) / rows.lengths).repeat_interleave(6, dim=-1)
+            lengths, dynamics, arm = self.lengths(rows), self.moves.plant.dynamics, self.arm
+            axial, bending = (
+                self._factor(rows, arm.stiffness_rule == "series" or rigidity is not None)
+                for rigidity in (arm.axial_rigidity, arm.bending_rigidity)
+            )
+            damping = torch.stack((bending, bending, axial), dim=-1).flatten(-2)
             own |= {
                 "plant.dynamics.lengths": lengths,
-                "plant.dynamics.masses": self.arm.masses(lengths),
-                "plant.dynamics.stiffness_diagonal": dynamics.stiffness_diagonal * factor,
-                "plant.dynamics.damping_diagonal": dynamics.damping_diagonal * factor,
+                "plant.dynamics.axial_stiffness": dynamics.axial_stiffness * axial,
+                "plant.dynamics.bending_stiffness": dynamics.bending_stiffness * bending,
+                "plant.dynamics.own_damping": dynamics.damping_diagonal * damping,
                 "plant.dynamics.batch_marker": torch.zeros_like(rows.payload),
             }
+            if arm.masses is None:  # else each section keeps its own
+                own["plant.dynamics.masses"] = arm.mass * lengths / lengths.sum(-1, keepdim=True)
+            model = lengths.unflatten(-1, (-1, self.refine)).sum(-1)
+            own |= {f"plant.routing.{name}": ends.on(model) for name, ends in self.tendon_ends.items()}
         return own
+
+    def _factor(self, rows: RowParameters, series: bool) -> Tensor:
+        """(N, n_t) true stiffness over the nominal one; of springs in series, a longer section is softer."""
+        stiffness = rows.stiffness.unsqueeze(-1)
+        factor = stiffness / rows.lengths if series else stiffness * rows.lengths
+        return factor.repeat_interleave(self.refine, dim=-1)

@@ -4,48 +4,46 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import torch
 from torch import Tensor, nn
 
-from apcc_torch.envs.arm import Arm
-from apcc_torch.envs.backbone_points import backbone_points, powers
+from apcc_torch.envs.backbone_points import BackbonePoints, Positions
+from apcc_torch.envs.places import middles_and_ends, sensors_of
 from apcc_torch.envs.randomisation import RowParameters
+from apcc_torch.model.arm import Arm
 
 
 class KinematicState(NamedTuple):
-    """q (N, 9) rad, rad, m."""
+    """q (N, n) rad, rad, m."""
 
     q: Tensor
 
 
 class KinematicArm(nn.Module):
-    """N arms of three sections.
+    """N arms of the model's sections.
 
     Args:
-        arm: Their numbers.
+        arm: What each of them is nominally.
         like: Dtype and device.
     """
 
     nominal: Tensor
-    base: Tensor
-    halves: Tensor
     B: Tensor
 
     def __init__(self, arm: Arm, like: Tensor) -> None:
         super().__init__()
-        nominal = arm.lengths(like)
+        nominal = arm.rest_lengths().to(like)
+        backbone = middles_and_ends(arm.n_sections)
         self.register_buffer("nominal", nominal)
-        self.register_buffer("base", arm.base(like))
-        self.register_buffer("halves", powers((0.5, 1.0), like))
-        self.register_buffer("B", arm.routing(like).matrix(nominal))
+        self.register_buffer("B", arm.routing().to(like).matrix(nominal))
+        self.places = BackbonePoints(backbone, sensors_of(arm, true=True), 1, arm.base_rotation().to(like))
 
     def lengths(self, rows: RowParameters) -> Tensor:
-        """(N, 3) true rest lengths, m."""
+        """(N, n_b) true rest lengths, m."""
         return self.nominal * rows.lengths
 
     def initial(self, rows: RowParameters) -> KinematicState:
-        """Arms that hang straight."""
-        return KinematicState(torch.zeros_like(rows.lengths).repeat_interleave(3, dim=-1))
+        """Straight arms."""
+        return KinematicState(rows.lengths.new_zeros(rows.lengths.shape).repeat_interleave(3, dim=-1))
 
     def step(
         self, state: KinematicState, y: Tensor, y_next: Tensor, q_d: Tensor, rows: RowParameters
@@ -53,12 +51,13 @@ class KinematicArm(nn.Module):
         """The arms at q_d."""
         return KinematicState(q_d)
 
-    def points(self, state: KinematicState, rows: RowParameters) -> Tensor:
-        """(N, 6, 3) m: the middle and the end of every section of the model."""
-        return backbone_points(state.q, self.lengths(rows), self.base, self.halves)
+    def points(self, state: KinematicState, rows: RowParameters) -> Positions:
+        """Where they are."""
+        positions: Positions = self.places(state.q, self.lengths(rows))
+        return positions
 
     def tendons(self, state: KinematicState) -> Tensor:
-        """(N, 9) tendon length changes, m."""
+        """(N, n_a) tendon length changes, m."""
         return state.q @ self.B
 
     def configuration(self, state: KinematicState) -> Tensor:

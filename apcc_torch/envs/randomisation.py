@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from typing import NamedTuple
 
@@ -11,9 +10,16 @@ from torch import Tensor
 
 from apcc_torch.envs.streams import Stream
 from apcc_torch.errors import ValueRangeError
+from apcc_torch.settings import OURS, Settings, setting
 
-Range = Sequence[float]
+Range = tuple[float, float]
 """(low, high), both included; equal where nothing varies."""
+
+
+def check_range(name: str, value: Range) -> None:
+    """Raises ValueRangeError where `value` is not two increasing numbers."""
+    if not isinstance(value, tuple) or len(value) != 2 or not value[0] <= value[1]:
+        raise ValueRangeError(f"{name} must be a range (low, high) with low <= high, got {value!r}")
 
 
 class RowParameters(NamedTuple):
@@ -35,32 +41,34 @@ class RowParameters(NamedTuple):
     estimate: Tensor
 
 
-@dataclass(frozen=True)
-class Ranges:
+@dataclass(frozen=True, kw_only=True)
+class Ranges(Settings):
     """Ranges (low, high) of `RowParameters`, uniform between them.
 
     Raises:
         ValueRangeError: A range is not two increasing numbers, or leaves what makes sense for its quantity.
     """
 
-    lengths: Range = (1.0, 1.0)
-    stiffness: Range = (1.0, 1.0)
-    payload: Range = (0.0, 0.5)
-    noise: Range = (0.0, 0.0)
-    delay: Range = (0, 0)
-    estimate: Range = (0.85, 1.15)
+    lengths: Range = setting((1.0, 1.0), "", OURS, "each section's true rest length over the nominal one", least=0.1)
+    stiffness: Range = setting(
+        (1.0, 1.0), "", OURS, "true stiffness over the nominal one; dynamic arms only", least=0.1
+    )
+    payload: Range = setting((0.0, 0.5), "kg", OURS, "mass at the tip; dynamic arms only", least=0)
+    noise: Range = setting((0.0, 0.0), "m", OURS, "standard deviation of the sensors' coordinates", least=0)
+    delay: tuple[int, int] = setting(
+        (0, 0), "", OURS, "control periods by which the sensors are late, whole ones", least=0
+    )
+    estimate: Range = setting(
+        (0.85, 1.15), "", OURS, "the controller's first rest lengths over the true ones; adaptation only", least=0.1
+    )
 
-    def __post_init__(self) -> None:
-        """Checks every range."""
-        for field in fields(self):
-            name, given = field.name, getattr(self, field.name)
-            least = 0.1 if name in ("lengths", "stiffness", "estimate") else 0.0
-            if not isinstance(given, Sequence) or len(given) != 2:
-                raise ValueRangeError(f"{name} must be a range (low, high), got {given!r}")
-            if not least <= given[0] <= given[1] < float("inf"):
-                raise ValueRangeError(f"{name} must be a range with {least:g} <= low <= high, got {tuple(given)}")
+    def check(self) -> None:
+        """Raises ValueRangeError where a range is none."""
+        super().check()
+        for each in fields(Ranges):
+            check_range(each.name, getattr(self, each.name))
         if any(int(end) != end for end in self.delay):
-            raise ValueRangeError(f"delay must be a range of whole control periods, got {tuple(self.delay)}")
+            raise ValueRangeError(f"delay must be a range of whole control periods, got {self.delay}")
 
     def varies(self, name: str) -> bool:
         """Whether the quantity differs from its nominal value 1 in any row."""

@@ -2,14 +2,32 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
+from apcc_torch.envs.simulator import SimulatorSettings
 from apcc_torch.envs.single_env import ArmEnv
+from apcc_torch.envs.tasks import Reach, ReachSettings
 from apcc_torch.envs.vector_env import ArmVectorEnv
 
 
-class ReachVectorEnv(ArmVectorEnv):
-    """Many arms; `ReachEnv` is the specification, `ArmVectorEnv` lists the arguments."""
+@dataclass(frozen=True, kw_only=True)
+class ReachEnvSettings(SimulatorSettings, ReachSettings):
+    """Settings of `ReachEnv` and `ReachVectorEnv`."""
 
-    task = "reach"
+
+class ReachVectorEnv(ArmVectorEnv):
+    """Many arms; `ReachEnv` is the specification, `ArmVectorEnv` lists the arguments.
+
+    Example:
+        >>> envs = gymnasium.make_vec("apcc/Reach-v0", num_envs=64, arm=Arm(lengths=[0.2, 0.25]))
+        >>> observation, info = envs.reset(seed=0)
+        >>> observation, reward, terminated, truncated, info = envs.step(torch.zeros(64, 6))
+        >>> observation.shape, reward.shape
+        (torch.Size([64, 30]), torch.Size([64]))
+    """
+
+    task = Reach
+    settings_type = ReachEnvSettings
 
 
 class ReachEnv(ArmEnv):
@@ -20,6 +38,10 @@ class ReachEnv(ArmEnv):
     The arm hangs from its base at the origin, 0.6 m long, with nine tendons in three racks and a position sensor at the
     end of each of the model's three sections. A configuration is (dx, dy, dL) a section: bends in rad, elongation in m.
     The world's z axis points up, so the arm lies at z < 0. A step is 10 ms (`control_rate`).
+
+    That is the paper's arm 1. For another `arm` the sizes below follow from its numbers of sections, tendons and
+    sensors; where its last sensor is not at the tip, one more is. Bounds of observed positions, velocities and tendons
+    are in proportion to its length, and elongations stay within shares of its shortest section.
 
     With `dynamics="kinematic"` the arm follows its desired configuration q_d exactly, and the payload plays no part;
     with `"dynamic"` it is the plant of section V-B [Dalenberg]: six sections with mass, damping and tendon friction,
@@ -82,6 +104,13 @@ class ReachEnv(ArmEnv):
     ## Version history
 
     * v0: first version.
+
+    Example:
+        >>> env = gymnasium.make("apcc/Reach-v0", dynamics="dynamic", payload=(0.2, 0.2))
+        >>> observation, info = env.reset(seed=0)
+        >>> observation, reward, terminated, truncated, info = env.step(env.action_space.sample())
+        >>> observation.shape, info["is_success"]
+        ((42,), False)
     """
 
     vector = ReachVectorEnv

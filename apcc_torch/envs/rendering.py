@@ -15,6 +15,7 @@ from torch import Tensor
 
 from apcc_torch.errors import ConfigError
 from apcc_torch.model.abscissae import decouple
+from apcc_torch.model.arm import Arm
 from apcc_torch.model.backbone import PCCBackbone
 from apcc_torch.model.tendons import TendonRouting
 
@@ -36,7 +37,7 @@ class Picture(NamedTuple):
 
 
 class Renderer(Protocol):
-    """Draws pictures."""
+    """Draws pictures; made with the length of the arm, m, and whether it stands, as `length` and `upward`."""
 
     def frame(self, picture: Picture) -> NDArray[Any]:
         """(H, W, 3) uint8."""
@@ -51,23 +52,24 @@ class Renderer(Protocol):
         ...
 
 
-def load_renderer(name: str | None) -> Renderer:
-    """The renderer that "module:class" names.
+def load_renderer(name: str | None, arm: Arm) -> Renderer:
+    """The renderer that "module:class" names, with room for the arm.
 
     Raises:
         ConfigError: None is named, or what draws is not installed.
     """
     if name is None:
         raise ConfigError('render_mode needs a renderer, e.g. "apcc_torch.report.arm_scene:ArmScene"')
+    length = float(arm.rest_lengths().sum())
     try:
-        renderer: Renderer = load_env_creator(name)()  # type: ignore[assignment]
+        renderer: Renderer = load_env_creator(name)(length=length, upward=bool(arm.base_rotation()[2, 2] > 0))  # type: ignore[assignment]
     except ModuleNotFoundError as error:
         raise ConfigError(f"rendering needs {error.name}: pip install 'apcc-torch[viz]'") from error
     return renderer
 
 
 def picture(
-    q: Tensor, lengths: Tensor, base: Tensor, routing: TendonRouting, anchors: Tensor, goal: Tensor, text: str
+    q: Tensor, lengths: Tensor, base: Tensor, routing: TendonRouting, sensors: Tensor, goal: Tensor, text: str
 ) -> Picture:
     """The picture of one arm.
 
@@ -75,8 +77,8 @@ def picture(
         q: (3 n) its configuration.
         lengths: (n,) rest lengths, m.
         base: (3, 3) arm base to world.
-        routing: Its tendons, for their angles and offsets.
-        anchors: (k,) material abscissae of the racks, where the sensors sit too, m.
+        routing: Its tendons.
+        sensors: (k, 3) m.
         goal: (3,) or (G, 3) m.
         text: A line over the picture.
     """
@@ -86,7 +88,5 @@ def picture(
     angle, offset = routing.angles.unsqueeze(-1), routing.offsets.unsqueeze(-1)
     aside = torch.stack((offset * torch.cos(angle), offset * torch.sin(angle), torch.zeros_like(angle)), dim=-1)
     tendons = T[:, :3, 3] + (T[:, :3, :3] @ aside.unsqueeze(-1)).squeeze(-1)
-    ends = anchors.repeat_interleave(len(routing.angles) // len(anchors))
-    tendons = torch.where((ends.unsqueeze(-1) + 1e-6 >= X).unsqueeze(-1), tendons, torch.nan)
-    sensors = backbone.pose(q, lengths, *decouple(anchors, lengths))[:, :3, 3]
+    tendons = torch.where((routing.anchors.unsqueeze(-1) + 1e-6 >= X).unsqueeze(-1), tendons, torch.nan)
     return Picture(T[:, :3, 3], tendons, sensors, goal, text)

@@ -16,15 +16,15 @@ def map_rows(change: Callable[..., Tensor], tree: Tree, *others: Tree) -> Tree:
 
     Args:
         change: (tensor of the tree, tensors of the others) -> tensor.
-        tree: A tensor, None, or a NamedTuple of trees.
+        tree: A tensor, None, or a tuple of trees, named or not.
         *others: Trees of the same form.
     """
     if tree is None:
         return tree
     if isinstance(tree, Tensor):
         return change(tree, *others)  # type: ignore[return-value]
-    branches = zip(tree, *others, strict=True)  # type: ignore[call-overload]
-    return type(tree)(*(map_rows(change, *branch) for branch in branches))
+    branches = [map_rows(change, *branch) for branch in zip(tree, *others, strict=True)]  # type: ignore[call-overload]
+    return type(tree)(*branches) if hasattr(tree, "_fields") else type(tree)(branches)  # type: ignore[call-arg]
 
 
 def select(mask: Tensor, chosen: Tree, other: Tree) -> Tree:

@@ -2,14 +2,32 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
+from apcc_torch.envs.simulator import SimulatorSettings
 from apcc_torch.envs.single_env import ArmEnv
+from apcc_torch.envs.tasks import Shape, ShapeSettings
 from apcc_torch.envs.vector_env import ArmVectorEnv
 
 
-class ShapeVectorEnv(ArmVectorEnv):
-    """Many arms; `ShapeEnv` is the specification, `ArmVectorEnv` lists the arguments."""
+@dataclass(frozen=True, kw_only=True)
+class ShapeEnvSettings(SimulatorSettings, ShapeSettings):
+    """Settings of `ShapeEnv` and `ShapeVectorEnv`."""
 
-    task = "shape"
+
+class ShapeVectorEnv(ArmVectorEnv):
+    """Many arms; `ShapeEnv` is the specification, `ArmVectorEnv` lists the arguments.
+
+    Example:
+        >>> envs = gymnasium.make_vec("apcc/Shape-v0", num_envs=64, arm=Arm(lengths=[0.2, 0.25]))
+        >>> observation, info = envs.reset(seed=0)
+        >>> observation, reward, terminated, truncated, info = envs.step(torch.zeros(64, 6))
+        >>> observation.shape, reward.shape
+        (torch.Size([64, 42]), torch.Size([64]))
+    """
+
+    task = Shape
+    settings_type = ShapeEnvSettings
 
 
 class ShapeEnv(ArmEnv):
@@ -49,6 +67,13 @@ class ShapeEnv(ArmEnv):
     ## Version history
 
     * v0: first version.
+
+    Example:
+        >>> env = gymnasium.make("apcc/Shape-v0", dynamics="dynamic", payload=(0.2, 0.2))
+        >>> observation, info = env.reset(seed=0)
+        >>> observation, reward, terminated, truncated, info = env.step(env.action_space.sample())
+        >>> observation.shape, info["is_success"]
+        ((63,), False)
     """
 
     vector = ShapeVectorEnv

@@ -5,42 +5,65 @@ Nothing here asks for a value, so one step can be compiled whole and runs on any
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from enum import IntEnum
 from typing import Any, NamedTuple, Protocol
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from apcc_torch.control.step_io import ControllerState
-from apcc_torch.envs.actions import Drive, Limits, action_size
-from apcc_torch.envs.adaptation import AdaptiveLoop
-from apcc_torch.envs.arm import Arm
-from apcc_torch.envs.dynamic import DynamicArm, DynamicState
+from apcc_torch.envs.actions import Drive
+from apcc_torch.envs.adaptation import AdaptiveLoop, AdaptiveLoopSettings
+from apcc_torch.envs.backbone_points import Positions
+from apcc_torch.envs.dynamic import DynamicArm, DynamicArmSettings, DynamicState
 from apcc_torch.envs.kinematic import KinematicArm, KinematicState
+from apcc_torch.envs.places import places
 from apcc_torch.envs.randomisation import Ranges, RowParameters
 from apcc_torch.envs.rendering import Picture, picture
 from apcc_torch.envs.row_trees import select
 from apcc_torch.envs.sensing import Readings, Sensing
 from apcc_torch.envs.streams import Stream
-from apcc_torch.envs.tasks import DISTANCE, POSITION, SPEED, TASKS, Goal, Task
+from apcc_torch.envs.tasks import Goal, Reach
 from apcc_torch.errors import ConfigError
-from apcc_torch.model.backbone import PCCBackbone
-from apcc_torch.part import check_settings
+from apcc_torch.model.arm import Arm
+from apcc_torch.part import Part
+from apcc_torch.settings import OURS, resolved, setting
 
-DYNAMICS = ("kinematic", "dynamic")
-TENDON = 0.5
-"""Bound of observed tendon length changes, m."""
-EFFORT = 0.01
-"""What an action of mean square 1 costs."""
-MODEL_SCALE = 0.05
-"""Error of the virtual model that costs 1 a step where the action adapts it, m."""
-FARTHEST = 1e3
-"""Largest magnitude of a coordinate or its rate before a row counts as diverged, as in `simulation`."""
+
+@dataclass(frozen=True, kw_only=True)
+class SimulatorSettings(AdaptiveLoopSettings, DynamicArmSettings, Ranges):
+    """Settings of `Simulator`: all but the task's."""
+
+    control_rate: float = setting(100.0, "Hz", OURS, "steps a second", above=0)
+    max_episode_steps: int | None = setting(
+        None, "", OURS, "steps after which a row is truncated; null: no limit", least=1
+    )
+    effort: float = setting(0.01, "", OURS, "what an action of mean square 1 costs a step", least=0)
+    model_scale: float = setting(0.05, "m", OURS, "adaptation: error of the virtual model that costs 1 a step", above=0)
+    position_bound: float = setting(
+        5.0 / 3.0, "", OURS, "bound of observed positions over the arm's length; differences: twice", above=0
+    )
+    speed_bound: float = setting(25.0 / 3.0, "1/s", OURS, "bound of observed velocities over the arm's length", above=0)
+    tendon_bound: float = setting(
+        5.0 / 6.0, "", OURS, "bound of observed changes of tendon lengths over the arm's length", above=0
+    )
+
+    def check(self) -> None:
+        """Raises ConfigError where a setting is a tensor: rows differ by what is drawn for them."""
+        super().check()
+        for each in fields(self):
+            if isinstance(getattr(self, each.name), Tensor):
+                raise ConfigError(f"{each.name} must be a number: rows of an environment differ by its ranges")
 
 
 class TruncatedReason(IntEnum):
-    """Why a row was truncated."""
+    """Why a row was truncated.
+
+    Example:
+        >>> TruncatedReason(1)
+        <TruncatedReason.TIME_LIMIT: 1>
+    """
 
     NONE = 0
     TIME_LIMIT = 1
@@ -56,7 +79,7 @@ class Body(Protocol):
     def lengths(self, rows: RowParameters) -> Tensor: ...
     def initial(self, rows: RowParameters) -> Any: ...
     def step(self, state: Any, y: Tensor, y_next: Tensor, q_d: Tensor, rows: RowParameters) -> Any: ...
-    def points(self, state: Any, rows: RowParameters) -> Tensor: ...
+    def points(self, state: Any, rows: RowParameters) -> Positions: ...
     def tendons(self, state: Any) -> Tensor: ...
     def configuration(self, state: Any) -> Tensor: ...
     def coordinates(self, state: Any) -> tuple[Tensor, ...]: ...
@@ -66,8 +89,8 @@ class EnvState(NamedTuple):
     """Everything about N rows between two steps.
 
     rows: What was drawn at their resets. goal: The task's.
-    arm: Of the kinematic or the dynamic arm. q_d: (N, 9), (N, n) of a controller with another model.
-    y: (N, 9) tendon references, m.
+    arm: Of the kinematic or the dynamic arm. q_d: (N, 3 n_b), (N, n) of a controller with another model.
+    y: (N, n_a) tendon references, m.
     controller: Of the adaptive loop; None without one.
     readings: Of the sensors. stream: Their random numbers. step: (N,) int64 since the reset.
     """
@@ -99,81 +122,70 @@ class Outcome(NamedTuple):
     reason: Tensor
 
 
-@dataclass(frozen=True)
-class Setup:
-    """What is simulated.
-
-    task: One of `TASKS`. action: One of `ACTIONS`. dynamics: "kinematic" or "dynamic".
-    control_rate: Hz. substeps: Plant steps in a control period. max_episode_steps: None for no limit.
-    ranges: Of what is drawn at resets. arm: The arm. limits: Of the actions.
-    """
-
-    task: str
-    action: str
-    dynamics: str
-    control_rate: float
-    substeps: int
-    max_episode_steps: int | None
-    ranges: Ranges
-    arm: Arm
-    limits: Limits
-
-    def __post_init__(self) -> None:
-        """Raises ConfigError or ValueRangeError where a setting has no meaning."""
-        if self.task not in TASKS:
-            raise ConfigError(f"task must be one of {', '.join(TASKS)}, got {self.task!r}")
-        if self.dynamics not in DYNAMICS:
-            raise ConfigError(f"dynamics must be one of {', '.join(DYNAMICS)}, got {self.dynamics!r}")
-        if self.dynamics == "kinematic" and self.arm.model is not PCCBackbone:
-            raise ConfigError("model must be PCCBackbone where the arm is kinematic: it follows q_d itself")
-        check_settings(control_rate=self.control_rate, substeps=self.substeps, max_episode_steps=self.max_episode_steps)
-
-
-class Simulator(nn.Module):
+class Simulator(Part):
     """One task for any number of arms.
 
     Args:
-        setup: What is simulated.
+        task: The task.
+        arm: What the arms are nominally.
         like: Dtype of the physics, and device.
+        *settings, **changes: See `SimulatorSettings`.
+
+    Raises:
+        ConfigError, ValueRangeError: A setting has no meaning.
     """
+
+    settings_type = SimulatorSettings
 
     nominal: Tensor
     B: Tensor
     bounds: Tensor
+    max_episode_steps: int | None
+    effort: float
+    model_scale: float
 
-    def __init__(self, setup: Setup, like: Tensor) -> None:
+    def __init__(self, task: Reach, arm: Arm, like: Tensor, *settings: Any, **changes: Any) -> None:
         super().__init__()
-        self.setup = setup
-        self.period = 1.0 / setup.control_rate
-        arm, ranges = setup.arm, setup.ranges
-        self.task: Task = TASKS[setup.task](arm, like)
+        s = resolved(SimulatorSettings, settings, changes)
+        self.hold(s)
+        self.task, self.description = task, arm
+        self.period = 1.0 / s.control_rate
+        self.ranges = resolved(Ranges, (s,), {})
         self.arm: Body
-        if setup.dynamics == "kinematic":
+        if s.dynamics == "kinematic":
             self.arm = KinematicArm(arm, like)
         else:
-            varied = ranges.varies("lengths") or ranges.varies("stiffness")
-            self.arm = DynamicArm(arm, self.period, setup.substeps, varied, like)
-        adapts = setup.action == "adaptation"
-        self.loop = AdaptiveLoop(arm, setup.limits, setup.dynamics, like) if adapts else None
-        self.drive = None if adapts else Drive(setup.action, arm, setup.limits, self.period, like)
-        self.sensing = Sensing(ranges.noise[1] > 0, int(ranges.delay[1]))
-        self.action_size = action_size(setup.action, arm)
-        self.register_buffer("nominal", arm.lengths(like))
-        self.register_buffer("B", arm.routing(like).matrix(arm.lengths(like)))
-        n_b = arm.n_sections
-        bounds = [POSITION] * 3 * n_b + [SPEED] * 3 * n_b + [TENDON] * 2 * arm.n_tendons + self.task.bounds()
-        if adapts:
-            bounds += [POSITION] * n_b + [DISTANCE] * n_b
-        self.register_buffer("bounds", torch.tensor(bounds, dtype=torch.float32, device=like.device))
+            varied = self.ranges.varies("lengths") or self.ranges.varies("stiffness")
+            self.arm = DynamicArm(arm, self.period, varied, like, s)
+        adapts = s.action == "adaptation"
+        self.loop = AdaptiveLoop(arm, like, s) if adapts else None
+        self.drive = None if adapts else Drive(arm, self.period, like, s)
+        self.sensing = Sensing(s.noise[1] > 0, int(s.delay[1]))
+        self.action_size, self.bound = s.size(arm), s.plant_settings().bound
+        self.register_buffer("nominal", arm.rest_lengths().to(like))
+        self.register_buffer("B", arm.routing().to(like).matrix(self.nominal))
+        self.register_buffer("bounds", torch.tensor(self._bounds(s), dtype=torch.float32, device=like.device))
+
+    def _bounds(self, s: SimulatorSettings) -> list[float]:
+        """The largest magnitude of every number that is observed."""
+        length = float(self.description.rest_lengths().sum())
+        position, speed, tendon = (b * length for b in (s.position_bound, s.speed_bound, s.tendon_bound))
+        k, observed = self.task.n_sensors, self.task.observed()
+        bounds = [position] * 3 * k + [speed] * 3 * k + [tendon] * 2 * self.description.n_tendons
+        bounds += [position] * observed.positions + [2.0 * position] * observed.differences
+        bounds += [speed] * observed.velocities
+        if self.loop is not None:
+            bounds += [position] * self.description.n_sections + [2.0 * position] * k
+        return bounds
 
     def initial(self, stream: Stream) -> EnvState:
         """Rows at the start of an episode: parameters and goal drawn, the arm hanging at rest."""
-        stream, rows = self.setup.ranges.draw(stream, self.setup.arm.n_sections, self.nominal.dtype)
+        stream, rows = self.ranges.draw(stream, len(self.nominal), self.nominal.dtype)
         lengths = self.nominal * rows.lengths
         stream, goal = self.task.draw(stream, lengths)
         arm = self.arm.initial(rows)
         points = self.arm.points(arm, rows)
-        stream, readings = self.sensing.initial(_sensors(points).flatten(1), rows, stream)
+        stream, readings = self.sensing.initial(points.sensors.flatten(1), rows, stream)
         q_d, controller = torch.zeros_like(lengths).repeat_interleave(3, dim=-1), None
         y = q_d @ self.B
         if self.loop is not None:
@@ -183,7 +195,7 @@ class Simulator(nn.Module):
 
     def view(self, state: EnvState) -> View:
         """What the state looks like."""
-        return self._view(state, self.arm.points(state.arm, state.rows))
+        return self._view(state, self.arm.points(state.arm, state.rows), self._model_points(state))
 
     def forward(self, state: EnvState, action: Tensor) -> tuple[EnvState, Outcome]:
         """One control period.
@@ -198,37 +210,40 @@ class Simulator(nn.Module):
         # A row that goes wrong stays where it was: its observation is good, and its neighbours never notice.
         learnt = () if controller is None else (controller.q_bar, controller.pi_hat)
         largest = torch.cat((action, *self.arm.coordinates(arm), *learnt), dim=-1).abs().amax(-1)  # NaN stays NaN
-        good = largest <= FARTHEST
+        good = largest <= self.bound
         arm, q_d, y, controller = select(
             good, _Moved(arm, q_d, y, controller), _Moved(state.arm, state.q_d, state.y, state.controller)
         )
         points = self.arm.points(arm, state.rows)
-        stream, readings = self.sensing.read(state.readings, _sensors(points).flatten(1), state.rows, state.stream)
+        stream, readings = self.sensing.read(state.readings, points.sensors.flatten(1), state.rows, state.stream)
         step = state.step + 1
         later = EnvState(state.rows, state.goal, arm, q_d, y, controller, readings, stream, step)
-        view = self._view(later, points)
+        model = self._model_points(later)
+        view = self._view(later, points, model)
         reason = torch.where(torch.isfinite(largest), TruncatedReason.DIVERGED.value, TruncatedReason.NOT_FINITE.value)
         late = torch.zeros_like(step)
-        if self.setup.max_episode_steps is not None:
-            late = torch.where(step >= self.setup.max_episode_steps, TruncatedReason.TIME_LIMIT.value, late)
+        if self.max_episode_steps is not None:
+            late = torch.where(step >= self.max_episode_steps, TruncatedReason.TIME_LIMIT.value, late)
         reason = torch.where(good, late, reason)
-        return later, Outcome(view, self._reward(later, action, view, points), reason > 0, reason)
+        return later, Outcome(view, self._reward(action, view, points, model), reason > 0, reason)
 
     def picture(self, state: EnvState) -> Picture:
         """What a renderer draws of the one row of a state."""
-        arm, setup, q = self.arm, self.setup, self.arm.configuration(state.arm)[0]
+        q = self.arm.configuration(state.arm)[0]
         time = self.period * state.step.to(q.dtype)
-        view = self.view(state)
-        goal = state.goal.points[0] if setup.task == "shape" else self.task.target(state.goal, time).x_d[0]
-        text = f"t = {float(time):.2f} s, error {1e3 * float(view.error):.0f} mm"
-        if setup.dynamics == "dynamic":
+        text = f"t = {float(time):.2f} s, error {1e3 * float(self.view(state).error):.0f} mm"
+        if isinstance(self.arm, DynamicArm):
             text += f", payload {float(state.rows.payload):.2f} kg"
-        racks = (self.nominal * state.rows.lengths[0]).cumsum(-1)
-        routing = setup.arm.routing(q)
-        return picture(q, arm.lengths(state.rows)[0], setup.arm.base(q), routing, racks, goal, text)
+        arm, lengths = self.description, self.arm.lengths(state.rows)[0]
+        routing = arm.routing().to(q)
+        routing.anchors = (
+            places(arm.routing().anchors, arm.rest_lengths()).to(q).on(self.nominal * state.rows.lengths[0])
+        )
+        sensors, goal = self.arm.points(state.arm, state.rows).sensors[0], self.task.drawn(state.goal, time)
+        return picture(q, lengths, arm.base_rotation().to(q), routing, sensors, goal, text)
 
     def _command(self, state: EnvState, action: Tensor) -> tuple[Tensor, Tensor, ControllerState | None]:
-        """The next q_d and tendon references (N, 9), and the controller's state."""
+        """The next q_d and tendon references (N, n_a), and the controller's state."""
         if self.drive is not None:
             q_d = self.drive(state.q_d, action)
             return q_d, q_d @ self.B, None
@@ -241,31 +256,33 @@ class Simulator(nn.Module):
         y = command.q_d @ self.B if command.y is None else command.y
         return command.q_d, y, controller
 
-    def _view(self, state: EnvState, points: Tensor) -> View:
-        """The view of a state whose points (N, 6, 3) m are known."""
-        time = self.period * state.step.to(points.dtype)
+    def _model_points(self, state: EnvState) -> Positions | None:
+        """Where the controller's model has the arm; None without a controller."""
+        if self.loop is None or state.controller is None:
+            return None
+        return self.loop.model_points(state.controller, state.rows.lengths)
+
+    def _view(self, state: EnvState, points: Positions, model: Positions | None) -> View:
+        """The view of a state whose points are known, and those of its model."""
+        time = self.period * state.step.to(self.nominal.dtype)
         seen = state.readings.seen
         velocity = (seen - state.readings.before) / self.period
         sensors = seen.unflatten(-1, (-1, 3))
         tendons = self.arm.tendons(state.arm)
         parts = [seen, velocity, tendons, state.y, self.task.features(state.goal, time, sensors)]
-        if state.controller is not None:
-            assert self.loop is not None  # it made the state
-            model = _sensors(self.loop.model_points(state.controller, state.rows.lengths))
-            parts += [state.controller.pi_hat, (model - sensors).norm(dim=-1)]
+        if state.controller is not None and model is not None:
+            parts += [state.controller.pi_hat, (model.sensors - sensors).norm(dim=-1)]
         observation = torch.cat(parts, dim=-1).float()
         return View(observation.clamp(-self.bounds, self.bounds), self.task.error(state.goal, time, points))
 
-    def _reward(self, state: EnvState, action: Tensor, view: View, points: Tensor) -> Tensor:
+    def _reward(self, action: Tensor, view: View, points: Positions, model: Positions | None) -> Tensor:
         cost = view.error / self.task.scale
         success = view.error < self.task.tolerance
-        if state.controller is None:
+        if model is None:
             # A bad action has no size; the row's reward is that of where it stays.
-            cost = cost + EFFORT * action.square().mean(-1).nan_to_num()
+            cost = cost + self.effort * action.square().mean(-1).nan_to_num()
         else:
-            assert self.loop is not None  # it made the state
-            model = self.loop.model_points(state.controller, state.rows.lengths)
-            cost = cost + (model - points).norm(dim=-1).mean(-1) / MODEL_SCALE
+            cost = cost + (model.backbone - points.backbone).norm(dim=-1).mean(-1) / self.model_scale
         return (success.to(cost.dtype) - cost).float()
 
 
@@ -276,8 +293,3 @@ class _Moved(NamedTuple):
     q_d: Tensor
     y: Tensor
     controller: ControllerState | None
-
-
-def _sensors(points: Tensor) -> Tensor:
-    """Of the middles and ends (N, 6, 3) of the sections, their ends (N, 3, 3), where the sensors sit."""
-    return points[:, 1::2]

@@ -2,14 +2,32 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
+from apcc_torch.envs.simulator import SimulatorSettings
 from apcc_torch.envs.single_env import ArmEnv
+from apcc_torch.envs.tasks import Track, TrackSettings
 from apcc_torch.envs.vector_env import ArmVectorEnv
 
 
-class TrackVectorEnv(ArmVectorEnv):
-    """Many arms; `TrackEnv` is the specification, `ArmVectorEnv` lists the arguments."""
+@dataclass(frozen=True, kw_only=True)
+class TrackEnvSettings(SimulatorSettings, TrackSettings):
+    """Settings of `TrackEnv` and `TrackVectorEnv`."""
 
-    task = "track"
+
+class TrackVectorEnv(ArmVectorEnv):
+    """Many arms; `TrackEnv` is the specification, `ArmVectorEnv` lists the arguments.
+
+    Example:
+        >>> envs = gymnasium.make_vec("apcc/Track-v0", num_envs=64, arm=Arm(lengths=[0.2, 0.25]))
+        >>> observation, info = envs.reset(seed=0)
+        >>> observation, reward, terminated, truncated, info = envs.step(torch.zeros(64, 6))
+        >>> observation.shape, reward.shape
+        (torch.Size([64, 33]), torch.Size([64]))
+    """
+
+    task = Track
+    settings_type = TrackEnvSettings
 
 
 class TrackEnv(ArmEnv):
@@ -49,6 +67,13 @@ class TrackEnv(ArmEnv):
     ## Version history
 
     * v0: first version.
+
+    Example:
+        >>> env = gymnasium.make("apcc/Track-v0", dynamics="dynamic", payload=(0.2, 0.2))
+        >>> observation, info = env.reset(seed=0)
+        >>> observation, reward, terminated, truncated, info = env.step(env.action_space.sample())
+        >>> observation.shape, info["is_success"]
+        ((45,), False)
     """
 
     vector = TrackVectorEnv

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any
+from pathlib import Path
+from typing import Any, ClassVar
 
 import numpy as np
 import torch
@@ -12,17 +13,15 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 from torch import Tensor
 
-from apcc_torch.envs.actions import Limits, check_action
-from apcc_torch.envs.arm import Arm
-from apcc_torch.envs.randomisation import Range, Ranges
 from apcc_torch.envs.rendering import Picture, Renderer, load_renderer
 from apcc_torch.envs.row_trees import replaced, select, taken
-from apcc_torch.envs.simulator import EnvState, Outcome, Setup, Simulator, View
+from apcc_torch.envs.simulator import EnvState, Outcome, Simulator, SimulatorSettings, View
 from apcc_torch.envs.streams import streams
+from apcc_torch.envs.tasks import Reach
 from apcc_torch.errors import ConfigError, DtypeError, ShapeError, ValueRangeError
-from apcc_torch.model.backbone import PCCBackbone
-from apcc_torch.model.kinematic_model import KinematicModel
+from apcc_torch.model.arm import Arm
 from apcc_torch.native.compiled import TorchStep
+from apcc_torch.settings import resolved
 
 DTYPES = {"float64": torch.float64, "float32": torch.float32}
 
@@ -42,18 +41,8 @@ class ArmVectorEnv(VectorEnv[Tensor, Tensor, Tensor]):
 
     Args:
         num_envs: N.
-        max_episode_steps: Steps after which a row is truncated; None for no limit.
-        action: What an action means: "configuration_velocity", "task_velocity", "tendon_lengths" or "adaptation".
-        dynamics: "kinematic", the arm follows its command exactly, or "dynamic", the plant of section V-B.
-        lengths: Range of each section's true rest length over the nominal one.
-        stiffness: Range of the true stiffness over the nominal one; dynamic arms only.
-        payload: Range of the mass at the tip, kg; dynamic arms only.
-        noise: Range of the standard deviation of the sensors' coordinates, m.
-        delay: Range of the sensors' delay, whole control periods.
-        estimate: Range of the controller's first rest lengths over the true ones; action "adaptation" only.
-        control_rate: Steps a second, Hz.
-        substeps: Steps of the dynamic plant in a control period; None for the arm's.
-        model: Class of the controller's kinematic model; action "adaptation" of dynamic arms only.
+        max_episode_steps: Steps after which a row is truncated; None or -1 for no limit.
+        arm: What the arms are nominally: an `Arm`, its file, or its name in conf/arm.
         dtype: Of the physics, "float64" or "float32". Observations and rewards are float32.
         device: A torch device.
         autoreset_mode: What happens to a row that is done: reset in the next step, in the same step, or not.
@@ -61,6 +50,7 @@ class ArmVectorEnv(VectorEnv[Tensor, Tensor, Tensor]):
         render_rows: How many rows `render` draws, the first ones.
         renderer: What draws, "module:class".
         compile: Whether the step is compiled by torch, which takes a minute or two at the first step.
+        **settings: What the arms do and what is drawn for them, see the task's `settings_type`.
 
     Raises:
         ConfigError, ValueRangeError: An argument has no meaning.
@@ -71,24 +61,15 @@ class ArmVectorEnv(VectorEnv[Tensor, Tensor, Tensor]):
         "render_fps": 25,
         "autoreset_mode": AutoresetMode.NEXT_STEP,
     }
-    task: str
+    task: ClassVar[type[Reach]]
+    settings_type: ClassVar[type[SimulatorSettings]]
 
     def __init__(
         self,
         num_envs: int = 1,
         max_episode_steps: int | None = None,
         *,
-        action: str = "configuration_velocity",
-        dynamics: str = "kinematic",
-        lengths: Range = (1.0, 1.0),
-        stiffness: Range = (1.0, 1.0),
-        payload: Range = (0.0, 0.5),
-        noise: Range = (0.0, 0.0),
-        delay: Range = (0, 0),
-        estimate: Range = (0.85, 1.15),
-        control_rate: float = 100.0,
-        substeps: int | None = None,
-        model: type[KinematicModel] = PCCBackbone,
+        arm: Arm | str | Path = "arm_1",
         dtype: str | torch.dtype = "float64",
         device: str | torch.device = "cpu",
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
@@ -96,6 +77,7 @@ class ArmVectorEnv(VectorEnv[Tensor, Tensor, Tensor]):
         render_rows: int = 4,
         renderer: str | None = None,
         compile: bool = False,
+        **settings: Any,
     ) -> None:
         if num_envs < 1:
             raise ValueRangeError(f"num_envs must be at least 1, got {num_envs}")
@@ -103,15 +85,14 @@ class ArmVectorEnv(VectorEnv[Tensor, Tensor, Tensor]):
             raise ConfigError(
                 f"render_mode must be one of {', '.join(self.metadata['render_modes'])}, got {render_mode!r}"
             )
-        arm = Arm(model=model)
         limit = None if max_episode_steps == -1 else max_episode_steps
-        ranges = Ranges(lengths, stiffness, payload, noise, delay, estimate)
-        per_period = arm.substeps if substeps is None else substeps
-        setup = Setup(self.task, check_action(action), dynamics, control_rate, per_period, limit, ranges, arm, Limits())
+        s = resolved(self.settings_type, (), {"max_episode_steps": limit, **settings})
+        arm = _one_arm(arm)
         self.num_envs = num_envs
         self.render_mode, self.render_rows, self.renderer = render_mode, render_rows, renderer
         self.device = torch.device(device)
-        self.simulator = Simulator(setup, torch.empty(0, dtype=_dtype(dtype), device=self.device))
+        like = torch.empty(0, dtype=_dtype(dtype), device=self.device)
+        self.simulator = Simulator(self.task(arm, like, s), arm, like, s)
         self._step = TorchStep(self.simulator, inductor=compile)
         self.autoreset_mode = _mode(autoreset_mode)
         self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode}
@@ -198,7 +179,7 @@ class ArmVectorEnv(VectorEnv[Tensor, Tensor, Tensor]):
     def drawing(self) -> Renderer:
         """What draws, loaded when it is first needed."""
         if self._renderer is None:
-            self._renderer = load_renderer(self.renderer)
+            self._renderer = load_renderer(self.renderer, self.simulator.description)
         return self._renderer
 
     def picture(self, row: int) -> Picture:
@@ -244,6 +225,14 @@ class ArmVectorEnv(VectorEnv[Tensor, Tensor, Tensor]):
         if not bool(rows.any()):
             raise ValueRangeError("reset_mask must be True for at least one row")
         return rows
+
+
+def _one_arm(told: Arm | str | Path) -> Arm:
+    arm = told if isinstance(told, Arm) else Arm.load(told)
+    places = (arm.rest_lengths(), arm.sensor_places(), arm.true_sensor_places())
+    if any(each.dim() > 1 for each in places) or arm.dynamics().batch_marker.dim():
+        raise ConfigError("arm must be one arm: rows of an environment differ by its ranges")
+    return arm
 
 
 def _dtype(given: str | torch.dtype) -> torch.dtype:

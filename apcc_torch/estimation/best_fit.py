@@ -11,12 +11,13 @@ from apcc_torch.errors import ShapeError, ValueRangeError
 from apcc_torch.linalg import solve_spd
 from apcc_torch.model.abscissae import decouple
 from apcc_torch.model.kinematic_model import KinematicModel
+from apcc_torch.modes import full_precision
 from apcc_torch.shapes import check_tensor
 
 _SHORTEST = 1e-4  # m; a section squeezed to nothing keeps this much, so that its neighbours stay finite
 
 
-class OracleFit(NamedTuple):
+class BestFit(NamedTuple):
     """The best fit of each row.
 
     q: (..., n) configuration. pi: (..., n_b) rest lengths, m. error: (...) m, mean distance, Eq. (52).
@@ -27,7 +28,8 @@ class OracleFit(NamedTuple):
     error: Tensor
 
 
-def oracle_fit(
+@full_precision
+def best_fit(
     model: KinematicModel,
     points: Tensor,
     q: Tensor,
@@ -35,7 +37,7 @@ def oracle_fit(
     free_lengths: bool = False,
     spacing: str = "arc",
     iterations: int = 40,
-) -> OracleFit:
+) -> BestFit:
     """The q, or the (q, pi), whose backbone has the least mean distance, Eq. (52), to known points, offline.
 
     Levenberg-Marquardt on reweighted squares: the weights 1 / distance of the last iterate turn the sum of squares into
@@ -54,6 +56,12 @@ def oracle_fit(
     Raises:
         ShapeError, DtypeError: The arguments do not fit each other.
         ValueRangeError: iterations < 1, or an unknown spacing.
+
+    Example:
+        >>> six, three, L0 = PCCBackbone(6), PCCBackbone(3), torch.full((6,), 0.1).double()
+        >>> points = six.points(0.2 * torch.tensor([1.0, 0.0, 0.0, -1.0, 0.0, 0.0] * 3).double(), L0, 61)
+        >>> best_fit(three, points, torch.zeros(9).double(), 2.0 * L0[:3]).error
+        tensor(0.0014, dtype=torch.float64)
     """
     model.check(q, pi)
     check_tensor("points", points, (None, 3))
@@ -93,7 +101,7 @@ def oracle_fit(
         columns = torch.where(better[..., None, None, None], moved, columns)
         best = torch.where(better, error, best)
         damping = torch.where(better, 0.3 * damping, 4.0 * damping).clamp(1e-9, 1e9)
-    return OracleFit(best_q, best_pi, best)
+    return BestFit(best_q, best_pi, best)
 
 
 def _curve(

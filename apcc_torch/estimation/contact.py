@@ -9,11 +9,12 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from apcc_torch.errors import ConfigError, ValueRangeError
 from apcc_torch.estimation.external_force import ForceBalance, Posture, Tare
 from apcc_torch.estimation.weighted_estimate import EstimateStatus, WeightedEstimate, weighted_estimate
+from apcc_torch.part import Part
 
 # Three components of the force, and its place.
 UNKNOWNS = 4
@@ -41,7 +42,7 @@ class Contact(NamedTuple):
     gain: Tensor
 
 
-class ContactSearch(nn.Module):
+class ContactSearch(Part):
     """Finds a contact force at an unknown abscissa.
 
     Args:
@@ -54,6 +55,16 @@ class ContactSearch(nn.Module):
     Raises:
         ConfigError: The model has too few coordinates to tell a force and its place.
         ValueRangeError: A number is out of range.
+
+    Example:
+        >>> arm = Arm(lengths=[0.2, 0.25], mass=0.45)
+        >>> body = StaticBody(arm.backbone(), density=1.0, axial=10.0, bending=0.0778)
+        >>> balance = ForceBalance(body, arm.routing(), StateFeedback(arm.backbone(), arm.sensor_places()))
+        >>> u = torch.zeros(6).double()
+        >>> pushed = Loads(wrench=torch.tensor([0.0, 0.0, 0.0, 0.5, 0.0, 0.0]).double())
+        >>> posture = Posture(equilibrium(arm.dynamics(), loads=pushed).q, arm.rest_lengths(), u)
+        >>> ContactSearch(balance)(posture).abscissa
+        tensor(0.4500, dtype=torch.float64)
     """
 
     shares: Tensor
@@ -81,7 +92,14 @@ class ContactSearch(nn.Module):
         self.refinements = refinements
         self.nearest = nearest
         self.longest = longest
-        self.register_buffer("shares", torch.linspace(0.0, 1.0, candidates, dtype=torch.float64))
+        self.candidates = candidates
+        self.derive()
+
+    def derive(self) -> None:
+        """Where on the arm the abscissae that are tried lie."""
+        device = self.balance.feedback.abscissae.device
+        shares = torch.linspace(0.0, 1.0, self.candidates, dtype=torch.float64, device=device)
+        self.register_buffer("shares", shares, persistent=False)
 
     def forward(
         self, posture: Posture, tare: Tare | None = None, mask: Tensor | None = None, angular_mask: Tensor | None = None
@@ -130,8 +148,8 @@ class ContactSearch(nn.Module):
         low, high = grid[..., :1], grid[..., -1:]
         places = grid
         for k in range(self.refinements + 1):
-            found = self._at(posture, r, S, places)
-            misfit = torch.where(torch.isfinite(found.misfit), found.misfit, torch.inf)
+            result = self._at(posture, r, S, places)
+            misfit = torch.where(torch.isfinite(result.misfit), result.misfit, torch.inf)
             index = misfit.argmin(-1, keepdim=True)
             places = places.expand(misfit.shape)
             place = torch.gather(places, -1, index)
@@ -139,7 +157,7 @@ class ContactSearch(nn.Module):
                 step = places[..., 1:2] - places[..., :1]
                 start, end = torch.maximum(place - step, low), torch.minimum(place + step, high)
                 places = start + (end - start) * self.shares.to(r)
-        force = torch.gather(found.value, -2, index.unsqueeze(-1).expand(*index.shape, 3))
+        force = torch.gather(result.value, -2, index.unsqueeze(-1).expand(*index.shape, 3))
         return force.squeeze(-2), place.squeeze(-1)
 
     def _at(self, posture: Posture, r: Tensor, S: Tensor, X: Tensor) -> WeightedEstimate:

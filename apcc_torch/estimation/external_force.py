@@ -11,7 +11,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from apcc_torch.errors import ConfigError
 from apcc_torch.estimation.feedback_covariance import feedback_covariance
@@ -19,7 +19,8 @@ from apcc_torch.estimation.state_feedback import StateFeedback
 from apcc_torch.estimation.weighted_estimate import WeightedEstimate, weighted_estimate
 from apcc_torch.model.static_body import StaticBody
 from apcc_torch.model.tendons import TendonRouting
-from apcc_torch.part import hold, hold_rows
+from apcc_torch.modes import full_precision
+from apcc_torch.part import Part, hold, hold_rows
 from apcc_torch.settings import Setting, aligned, check_setting
 from apcc_torch.shapes import batch_shape, check_tensor
 
@@ -34,6 +35,10 @@ class BalanceNoise(NamedTuple):
     tension: Of each tendon's force, N.
     bend, slope, length: Generalized force by which the model is wrong, on bends, torsion and slopes N m, and on
         lengths N. They count for every coordinate apart; `Tare` measures them.
+
+    Example:
+        >>> BalanceNoise(position=1e-3).tension
+        0.05
     """
 
     position: Setting = 2e-4
@@ -50,6 +55,10 @@ class Posture(NamedTuple):
     u: (..., n_a) forces conjugate to tendon length, N (tension is -u); None: nobody measures them.
     qdot: (..., n) configuration velocity, for the forces of damping, taken as exact; None at rest.
     payload: (...) known tip mass, kg; None for none.
+
+    Example:
+        >>> Posture(q_bar=torch.zeros(6), pi_hat=torch.tensor([0.2, 0.25]), u=torch.zeros(6)).double().q_bar.dtype
+        torch.float64
     """
 
     q_bar: Tensor
@@ -74,12 +83,18 @@ class Tare(NamedTuple):
     covariance: Tensor
 
 
+@full_precision
 def tare(imbalance: Tensor, floor: Tensor) -> Tare:
     """The offset and the spread of an unloaded arm's balance over N postures.
 
     Args:
         imbalance: (N, n) from `ForceBalance.imbalance`; N may be 1: the tare of one posture.
         floor: (n,) least standard deviation.
+
+    Example:
+        >>> left = torch.tensor([[0.1, 0.2], [0.3, 0.2]])
+        >>> tare(left, floor=torch.tensor([0.01, 0.01])).offset
+        tensor([0.2000, 0.2000])
     """
     check_tensor("imbalance", imbalance, (None, None))
     offset = imbalance.mean(0)
@@ -88,7 +103,7 @@ def tare(imbalance: Tensor, floor: Tensor) -> Tare:
     return Tare(offset, covariance + torch.diag_embed(floor**2))
 
 
-class ForceBalance(nn.Module):
+class ForceBalance(Part):
     """Estimates what acts on an arm at rest, or in slow motion, with covariance and status.
 
     Without tensions (`Posture.u` None) only what tendons cannot give tells the load: nothing where they drive every
@@ -107,6 +122,15 @@ class ForceBalance(nn.Module):
     Raises:
         ConfigError: The feedback's model is not the body's.
         ValueRangeError: A number is out of range.
+
+    Example:
+        >>> arm = Arm(lengths=[0.2, 0.25], mass=0.45)
+        >>> body = StaticBody(arm.backbone(), density=1.0, axial=10.0, bending=0.0778)
+        >>> balance = ForceBalance(body, arm.routing(), StateFeedback(arm.backbone(), arm.sensor_places()))
+        >>> u = torch.zeros(6).double()
+        >>> hanging = equilibrium(arm.dynamics(), payload=torch.tensor(0.1).double())
+        >>> balance.payload(Posture(hanging.q, arm.rest_lengths(), u)).value
+        tensor([0.1000], dtype=torch.float64)
     """
 
     position_noise: Setting
@@ -117,7 +141,7 @@ class ForceBalance(nn.Module):
     damping_ratio: Setting
     tendon_damping: Setting
     down: Tensor
-    tip: Tensor
+    own_tip: Tensor | None
 
     def __init__(
         self,
@@ -146,9 +170,15 @@ class ForceBalance(nn.Module):
             tendon_damping=check_setting("tendon_damping", tendon_damping, zero=True),
             **{f"{name}_noise": value for name, value in noise._asdict().items()},
         )
-        last = feedback.abscissae[..., -1:] if tip is None else torch.full_like(feedback.abscissae[..., -1:], tip)
-        hold_rows(self, tip=(last.clone(), 1))
-        self.register_buffer("down", torch.tensor([[0.0], [0.0], [-1.0]], dtype=torch.float64))
+        own = None if tip is None else torch.full_like(feedback.abscissae[..., -1:], tip)
+        hold_rows(self, own_tip=(own, 1))
+        down = torch.tensor([[0.0], [0.0], [-1.0]], dtype=torch.float64, device=feedback.abscissae.device)
+        self.register_buffer("down", down, persistent=False)
+
+    @property
+    def tip(self) -> Tensor:
+        """(..., 1) material abscissa of a payload, m."""
+        return self.feedback.abscissae[..., -1:] if self.own_tip is None else self.own_tip
 
     def imbalance(self, posture: Posture, offset: Tensor | None = None) -> Tensor:
         """G + K q_bar - B u (..., n), less `offset`: what external forces must hold, N m and N."""
@@ -272,8 +302,8 @@ class ForceBalance(nn.Module):
             first = weighted_estimate(r, Phi, S, limit).value
             force = (axes.to(r) @ torch.where(torch.isfinite(first), first, 0.0).unsqueeze(-1)).squeeze(-1)
             covariance = self.covariance(exact, X, force, tare, mask, angular_mask)
-        found = weighted_estimate(r, Phi, covariance.double(), limit)
-        return found.to(posture.q_bar.dtype)
+        result = weighted_estimate(r, Phi, covariance.double(), limit)
+        return result.to(posture.q_bar.dtype)
 
     def _tendons(self, pi: Tensor) -> Tensor:
         own = self.routing.anchors.dtype

@@ -11,7 +11,12 @@ from apcc_torch.estimation.fit import Problem
 
 
 class FeedbackStatus(IntEnum):
-    """How a row of the estimate ended."""
+    """How a row of the estimate ended.
+
+    Example:
+        >>> FeedbackStatus(1)
+        <FeedbackStatus.SETTLED: 1>
+    """
 
     CONVERGED = 0
     """Every sensor is within both thresholds."""
@@ -32,6 +37,14 @@ class Feedback(NamedTuple):
         that is masked.
     iterations: (...) int64 steps computed.
     status: (...) int64 `FeedbackStatus`.
+
+    Example:
+        >>> arm = Arm(lengths=[0.2, 0.25])
+        >>> backbone, L0, X = arm.backbone(), arm.rest_lengths(), arm.sensor_places()
+        >>> seen = backbone.pose(torch.full((6,), 0.01).double(), L0, *decouple(X, L0))
+        >>> feedback = StateFeedback(backbone, X)(torch.zeros(6).double(), L0, seen)
+        >>> feedback.q_bar, FeedbackStatus(int(feedback.status)).name
+        (tensor([0.0100, 0.0100, 0.0100, 0.0100, 0.0100, 0.0100], dtype=torch.float64), 'CONVERGED')
     """
 
     q_bar: Tensor

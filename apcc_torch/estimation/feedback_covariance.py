@@ -8,6 +8,7 @@ from torch import Tensor
 from apcc_torch.estimation.state_feedback import StateFeedback
 from apcc_torch.estimation.step import Residual, damped_step, row_weights
 from apcc_torch.model.abscissae import located
+from apcc_torch.modes import full_precision
 from apcc_torch.settings import Setting, aligned
 from apcc_torch.shapes import batch_shape
 
@@ -15,6 +16,7 @@ from apcc_torch.shapes import batch_shape
 UNSEEN = 1e-10
 
 
+@full_precision
 def feedback_response(
     feedback: StateFeedback,
     q_bar: Tensor,
@@ -55,6 +57,7 @@ def feedback_response(
     return step.unflatten(-1, (k, 6)).to(q_bar.dtype)
 
 
+@full_precision
 def feedback_covariance(
     feedback: StateFeedback,
     q_bar: Tensor,
@@ -73,6 +76,13 @@ def feedback_covariance(
         position_noise: Standard deviation of each coordinate, m, as in `simulation.sensors.PoseSensors`.
         angular_noise: Of each component of the rotation vector, rad.
         mask, angular_mask: (..., k) bool, as in `StateFeedback.forward`.
+
+    Example:
+        >>> arm = Arm(lengths=[0.2, 0.25])
+        >>> feedback = StateFeedback(arm.backbone(), arm.sensor_places())
+        >>> S = feedback_covariance(feedback, torch.zeros(6).double(), arm.rest_lengths(), 1e-3, 0.01)
+        >>> S.diagonal().sqrt()
+        tensor([0.0094, 0.0094, 0.0010, 0.0140, 0.0140, 0.0014], dtype=torch.float64)
     """
     response = feedback_response(feedback, q_bar, pi_hat, mask, angular_mask)
     angular, linear = response.split_with_sizes((3, 3), dim=-1)

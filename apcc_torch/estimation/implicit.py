@@ -19,6 +19,7 @@ from apcc_torch.estimation.iteration import Outcome
 from apcc_torch.estimation.step import Residual, hierarchical_step
 from apcc_torch.model.abscissae import MaterialPoints
 from apcc_torch.model.kinematic_model import KinematicModel
+from apcc_torch.modes import full_precision
 
 # Of what no sensor sees, far below any sensor's reach squared, m^2: such directions of q_bar get no gradient.
 UNSEEN = 1e-10
@@ -94,6 +95,7 @@ def _defect(mode: str, residual: Residual) -> Tensor:
     return (J.mT @ r).squeeze(-1)
 
 
+@full_precision
 def _slope(backbone: KinematicModel, mode: str, q: Tensor, problem: Problem) -> Tensor:
     """dF/dq (..., n, n), less `UNSEEN` on its diagonal, at which F falls."""
 
@@ -109,6 +111,8 @@ def _slope(backbone: KinematicModel, mode: str, q: Tensor, problem: Problem) -> 
 
 class _FixedPoint(torch.autograd.Function):
     """Zero, the change of q; its gradient goes to F through the inverse of dF/dq, computed when it is asked for."""
+
+    generate_vmap_rule = True
 
     @staticmethod
     def forward(

@@ -10,6 +10,7 @@ from torch import Tensor
 from apcc_torch.estimation.fit import Fit, Problem, evaluate, select
 from apcc_torch.estimation.step import damped_step
 from apcc_torch.model.kinematic_model import KinematicModel
+from apcc_torch.modes import none_left
 from apcc_torch.settings import Setting, aligned
 
 
@@ -104,11 +105,6 @@ def _first_damping(rules: Rules, floor: float, cost: Tensor) -> Tensor:
     return torch.full_like(cost, max(rules.damping, floor))
 
 
-def _none(rows: Tensor) -> bool:
-    """Whether no row is left. That reads a value, so a compiled step goes on with all its rows frozen instead."""
-    return not torch.compiler.is_compiling() and not bool(rows.any())
-
-
 def iterate(backbone: KinematicModel, rules: Rules, q_seed: Tensor, problem: Problem) -> Outcome:
     """Steps from q_seed (..., n), of the problem's leading shape, until every row has ended."""
     best = _score(rules, evaluate(backbone, rules.mode, q_seed, problem))
@@ -123,7 +119,7 @@ def iterate(backbone: KinematicModel, rules: Rules, q_seed: Tensor, problem: Pro
     settled = torch.zeros_like(live)
     iterations = torch.zeros_like(live, dtype=torch.int64)
     for k in range(rules.max_iterations):
-        if _none(live):
+        if none_left(live):
             break
         last = k + 1 >= rules.min_iterations
         step = _step(rules, best.fit, problem.weights, damping, limits)
@@ -134,7 +130,7 @@ def iterate(backbone: KinematicModel, rules: Rules, q_seed: Tensor, problem: Pro
         # A negligible step that is a row's last is taken on trust, and what it leaves is what it promises: the pose's
         # twist, whose derivative is exact, keeps that promise to second order.
         trusting = last and rules.mode == "pose"
-        if not (trusting and _none(live & ~negligible)):
+        if not (trusting and none_left(live & ~negligible)):
             trial = evaluate(backbone, rules.mode, trial.q, problem)
             if trusting:
                 trial = trial._replace(twist=torch.where(negligible[..., None, None], step.twist, trial.twist))

@@ -11,7 +11,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from apcc_torch.errors import ConfigError, ValueRangeError
 from apcc_torch.estimation.weighted_estimate import EstimateStatus, WeightedEstimate, weighted_estimate
@@ -22,7 +22,7 @@ from apcc_torch.model.dynamics import SoftArmDynamics
 from apcc_torch.model.loads import Loads
 from apcc_torch.model.statics import Equilibrium, equilibrium, load_stiffness
 from apcc_torch.model.tendons import TendonRouting
-from apcc_torch.part import hold
+from apcc_torch.part import Part, hold, hold_rows
 from apcc_torch.settings import Setting, aligned, check_setting
 from apcc_torch.shapes import batch_shape, check_finite, check_tensor
 
@@ -34,6 +34,10 @@ class ShapeNoise(NamedTuple):
 
     position: Of each coordinate of a sensor, m. angle: Of each component of its rotation vector, rad.
     length: Of each tendon's length change, m. tension: Of each tendon's force, N.
+
+    Example:
+        >>> ShapeNoise(position=2e-3).tension
+        0.5
     """
 
     position: Setting = 1e-3
@@ -42,7 +46,7 @@ class ShapeNoise(NamedTuple):
     tension: Setting = 0.5
 
 
-class HeldShapeEstimate(NamedTuple):
+class LoadEstimate(NamedTuple):
     """A load and the shape it explains.
 
     load: Payload (..., 1) kg or tip force (..., 3) N in world axes, with covariance and status.
@@ -57,7 +61,7 @@ class HeldShapeEstimate(NamedTuple):
     converged: Tensor
 
 
-class HeldShape(nn.Module):
+class LoadFromShape(Part):
     """Estimates a payload or a tip force from tendon lengths and sensor poses, tendon forces, or both.
 
     Args:
@@ -73,6 +77,13 @@ class HeldShape(nn.Module):
     Raises:
         ConfigError: The unknown is not known.
         ValueRangeError: A number is out of range.
+
+    Example:
+        >>> arm = Arm(lengths=[0.2, 0.25], mass=0.4)
+        >>> finer, y = arm.dynamics(2), torch.zeros(6).double()
+        >>> held = equilibrium(finer, routing=arm.routing(), tendon_lengths=y, payload=torch.tensor(0.1).double())
+        >>> LoadFromShape(finer, arm.routing(), arm.sensor_places())(y, u=held.u).load.value
+        tensor([0.1000], dtype=torch.float64)
     """
 
     abscissae: Tensor
@@ -108,12 +119,12 @@ class HeldShape(nn.Module):
         self.iterations = iterations
         self.step = check_setting("step", step)
         self.limit = check_setting("limit", limit)
-        self.register_buffer("abscissae", abscissae.clone())
+        hold_rows(self, abscissae=(abscissae, 1))
         hold(self, **{f"{name}_noise": value for name, value in noise._asdict().items()})
 
     def forward(
         self, y: Tensor, T: Tensor | None = None, u: Tensor | None = None, mask: Tensor | None = None
-    ) -> HeldShapeEstimate:
+    ) -> LoadEstimate:
         """The load of each row.
 
         Args:
@@ -143,22 +154,22 @@ class HeldShape(nn.Module):
         small = torch.zeros(batch, dtype=torch.bool, device=y.device)
         for _ in range(self.iterations):
             rest = self._rest(y, load, q)
-            found = self._step(rest, load, T, u, mask)
-            change = torch.where(torch.isfinite(found.value), found.value, 0.0)
+            result = self._step(rest, load, T, u, mask)
+            change = torch.where(torch.isfinite(result.value), result.value, 0.0)
             # One length for the whole step, so that its direction stays.
             change = change / (change.norm(dim=-1, keepdim=True) / largest).clamp(min=1.0)
             small = change.norm(dim=-1) < 1e-3 * largest
             q, load = rest.q, load + change
         rest = self._rest(y, load, q)
         assert rest.u is not None  # tendon lengths are prescribed
-        known = torch.isfinite(found.value) & rest.converged.unsqueeze(-1)
-        status = torch.where(rest.converged, found.status, int(EstimateStatus.INVALID))
-        final = found._replace(value=torch.where(known, load, torch.nan), status=status)
-        return HeldShapeEstimate(final, rest.q, rest.u, rest.converged & small)
+        known = torch.isfinite(result.value) & rest.converged.unsqueeze(-1)
+        status = torch.where(rest.converged, result.status, int(EstimateStatus.INVALID))
+        final = result._replace(value=torch.where(known, load, torch.nan), status=status)
+        return LoadEstimate(final, rest.q, rest.u, rest.converged & small)
 
-    def _per_newton(self) -> float:
+    def _per_newton(self) -> float | Tensor:
         """What a unit of the unknown weighs, N."""
-        return float(self.dynamics.gravity_acceleration.max()) if self.unknown == "payload" else 1.0
+        return self.dynamics.gravity_acceleration.max() if self.unknown == "payload" else 1.0
 
     def _loads(self, load: Tensor) -> tuple[Tensor | None, Loads]:
         if self.unknown == "payload":
@@ -194,7 +205,7 @@ class HeldShape(nn.Module):
             variances.append(aligned(self.tension_noise, 1) ** 2 * torch.ones_like(rest.u))
         slide = aligned(self.length_noise, 2) * torch.cat(by_y, dim=-2)
         S = torch.diag_embed(torch.cat(variances, dim=-1)) + slide @ slide.mT
-        limit = torch.full((load.shape[-1],), self.limit / self._per_newton(), dtype=load.dtype, device=load.device)
+        limit = torch.full_like(load[(0,) * (load.dim() - 1)], self.limit) / self._per_newton()
         return weighted_estimate(torch.cat(residuals, dim=-1), torch.cat(by_load, dim=-2), S, limit)
 
     def _sensitivity(self, q: Tensor, load: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:

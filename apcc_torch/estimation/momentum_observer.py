@@ -13,13 +13,13 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from apcc_torch.estimation.weighted_estimate import WeightedEstimate, weighted_estimate
 from apcc_torch.model.backbone import PCCBackbone
 from apcc_torch.model.dynamics import SoftArmDynamics
 from apcc_torch.model.tendons import TendonRouting
-from apcc_torch.part import hold
+from apcc_torch.part import Part, hold
 from apcc_torch.settings import Setting, aligned, check_setting
 from apcc_torch.shapes import check_same, check_tensor
 
@@ -37,7 +37,7 @@ class ObserverState(NamedTuple):
     started: Tensor
 
 
-class MomentumObserver(nn.Module):
+class MomentumObserver(Part):
     """Follows the external generalized force of an arm in motion.
 
     Args:
@@ -49,11 +49,21 @@ class MomentumObserver(nn.Module):
 
     Raises:
         ValueRangeError: A number is out of range.
+
+    Example:
+        >>> arm = Arm(lengths=[0.2, 0.25], mass=0.4)
+        >>> dynamics, still = arm.dynamics(), torch.zeros(6).double()
+        >>> q = equilibrium(dynamics, payload=torch.tensor(0.1).double()).q
+        >>> observer = MomentumObserver(dynamics, arm.routing())
+        >>> state = observer.initial_state(q)
+        >>> for _ in range(30):
+        ...     state = observer(state, q, still, still, 0.05)
+        >>> observer.load(state, q, 1e-4 * torch.eye(6).double()).value
+        tensor([0.1000], dtype=torch.float64)
     """
 
     gain: Setting
     tendon_damping: Setting
-    B: Tensor
 
     def __init__(
         self,
@@ -71,8 +81,8 @@ class MomentumObserver(nn.Module):
         )
         self.limit = check_setting("limit", limit)
         self.dynamics = dynamics
+        self.routing = routing
         self.backbone = PCCBackbone(dynamics.n_sections, dynamics.base_rotation)
-        self.register_buffer("B", routing.matrix(dynamics.lengths))
 
     def initial_state(self, q: Tensor) -> ObserverState:
         """Before the first sample; q (..., n) is read for its shape alone."""
@@ -89,10 +99,11 @@ class MomentumObserver(nn.Module):
             dt: Time since the last sample, s.
         """
         d = self.dynamics
-        check_tensor("u", u, (self.B.shape[-1],))
+        check_tensor("u", u, (self.routing.n_tendons,))
         check_same(q=q, qdot=qdot, u=u)
-        pull = u - aligned(self.tendon_damping, 1) * (self.B.mT @ qdot.unsqueeze(-1)).squeeze(-1)
-        known = (self.B @ pull.unsqueeze(-1)).squeeze(-1) - d.gravity(q)
+        B = self.routing.matrix(d.lengths)
+        pull = u - aligned(self.tendon_damping, 1) * (B.mT @ qdot.unsqueeze(-1)).squeeze(-1)
+        known = (B @ pull.unsqueeze(-1)).squeeze(-1) - d.gravity(q)
         known = known - d.stiffness_diagonal * q - d.damping_diagonal * qdot
         known = known + (d.coriolis(q, qdot).mT @ qdot.unsqueeze(-1)).squeeze(-1)
         momentum = (d.inertia(q) @ qdot.unsqueeze(-1)).squeeze(-1)
@@ -114,8 +125,8 @@ class MomentumObserver(nn.Module):
         J = self.backbone.tip_jacobian(q, self.dynamics.lengths)
         if payload:
             weight = -self.dynamics.gravity_acceleration * torch.ones_like(q[..., 0])
-            columns, unit = weight[..., None, None] * J[..., 2:, :].mT, float(self.dynamics.gravity_acceleration.max())
+            columns, unit = weight[..., None, None] * J[..., 2:, :].mT, self.dynamics.gravity_acceleration.max()
         else:
-            columns, unit = J.mT, 1.0
-        limit = torch.full((columns.shape[-1],), self.limit / unit, dtype=q.dtype, device=q.device)
+            columns, unit = J.mT, torch.ones_like(J[(0,) * J.dim()])
+        limit = (self.limit / unit).expand(columns.shape[-1])
         return weighted_estimate(state.r, columns, covariance, limit)

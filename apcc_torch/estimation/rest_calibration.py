@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -19,7 +20,7 @@ _KIND = "apcc_torch.calibration"
 
 
 @dataclass(frozen=True)
-class Calibration:
+class RestCalibration:
     """Constants that turn recorded poses of k sensors into poses of the model's frames in the base frame.
 
     Attributes:
@@ -32,6 +33,12 @@ class Calibration:
         rest_frames: Number of frames the calibration was computed from.
         rest_scatter_m: Largest distance of a rest frame's position from the rest position, m.
         rest_scatter_rad: Largest angle of a rest frame's rotation from the rest rotation, rad.
+
+    Example:
+        >>> one, place = torch.eye(3).double(), torch.tensor([[0.0, 0.0, 0.4]]).double()
+        >>> calibration = RestCalibration.at_rest(("tip",), 0.0 * place[0], one, place, one.unsqueeze(0))
+        >>> calibration.abscissae
+        tensor([0.4000], dtype=torch.float64)
     """
 
     names: tuple[str, ...]
@@ -43,6 +50,27 @@ class Calibration:
     rest_frames: int = 0
     rest_scatter_m: float = 0.0
     rest_scatter_rad: float = 0.0
+
+    @staticmethod
+    def at_rest(
+        names: Sequence[str], base_position: Tensor, base_rotation: Tensor, position: Tensor, rotation: Tensor
+    ) -> RestCalibration:
+        """The calibration from sensors at rest, where the arm counts as straight, along the base's z axis.
+
+        Args:
+            names: Of the sensors, k of them.
+            base_position: (3,) the base in the recording frame, m.
+            base_rotation: (3, 3) its axes there, as columns.
+            position: (k, 3) of the sensors at rest, m.
+            rotation: (k, 3, 3) their axes at rest, as columns.
+        """
+        z = base_rotation[:, 2]
+        abscissae = position @ z - base_position @ z
+        beside = base_position + abscissae.unsqueeze(-1) * z - position
+        offset = (rotation.mT @ beside.unsqueeze(-1)).squeeze(-1)
+        return RestCalibration(
+            tuple(names), base_position, base_rotation, rotation.mT @ base_rotation, offset, abscissae
+        )
 
     @property
     def rest_lengths(self) -> Tensor:
@@ -88,7 +116,7 @@ class Calibration:
         write_atomically(path, json.dumps(self.content(), indent=1) + "\n")
 
     @staticmethod
-    def load(path: str | Path) -> Calibration:
+    def load(path: str | Path) -> RestCalibration:
         """Reads a calibration written by `save`, in float64.
 
         Raises:
@@ -100,10 +128,10 @@ class Calibration:
             raise DataError(f"{path}: cannot be read ({error.strerror})") from error
         except ValueError as error:
             raise DataError(f"{path}: is not a JSON file ({error})") from error
-        return Calibration.of(content, path)
+        return RestCalibration.of(content, path)
 
     @staticmethod
-    def of(content: object, path: str | Path) -> Calibration:
+    def of(content: object, path: str | Path) -> RestCalibration:
         """The calibration that `content` gave, in float64.
 
         Args:
@@ -130,7 +158,7 @@ class Calibration:
             tensors = {
                 key: torch.tensor(content[key], dtype=torch.float64).reshape(shape) for key, shape in shapes.items()
             }
-            return Calibration(
+            return RestCalibration(
                 names,
                 **{key: check_finite(key, value) for key, value in tensors.items()},
                 rest_frames=int(content["rest_frames"]),

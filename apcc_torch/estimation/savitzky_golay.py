@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from apcc_torch.errors import ShapeError, ValueRangeError
-from apcc_torch.part import Part
+from apcc_torch.part import Part, refuse_parameter
 from apcc_torch.settings import OURS, Settings, resolved, setting
 from apcc_torch.shapes import batch_shape, check_same, check_tensor
 
@@ -187,7 +187,9 @@ class SavitzkyGolay(Part):
 
     def __init__(self, *settings: Any, **changes: Any) -> None:
         super().__init__()
-        self.hold(resolved(SavitzkyGolaySettings, settings, changes))
+        s = resolved(SavitzkyGolaySettings, settings, changes)
+        refuse_parameter("window", s.window, "it counts samples; a SoftWindow has weights to train")
+        self.hold(s)
 
     def _hold_one(self, name: str, value: Any, trailing: int) -> None:
         # A window a row makes constants; it is no tensor of the computation.

@@ -15,6 +15,7 @@ from torch import Tensor
 
 from apcc_torch.errors import ValueRangeError
 from apcc_torch.model.kinematic_model import Placed
+from apcc_torch.modes import holds
 from apcc_torch.part import Part, hold_rows
 from apcc_torch.settings import OURS, Settings, check_choice, resolved, setting
 from apcc_torch.shapes import check_finite, check_same, check_tensor
@@ -59,8 +60,8 @@ class SensorCurve(Part):
     settings_type = SensorCurveSettings
     tangents: str
     samples: int
-    base_axis: Tensor
-    abscissae: Tensor
+    base_rotation: Tensor
+    ends: Tensor
     shares: Tensor
 
     def __init__(self, base_rotation: Tensor, abscissae: Tensor, *settings: Any, **changes: Any) -> None:
@@ -68,15 +69,22 @@ class SensorCurve(Part):
         s = resolved(SensorCurveSettings, settings, changes)
         check_tensor("base_rotation", base_rotation, (3, 3))
         check_finite("abscissae", check_tensor("abscissae", abscissae, (None,)))
-        ends = torch.nn.functional.pad(abscissae, (1, 0))
-        if abscissae.shape[-1] == 0 or bool((ends.diff() <= 0).any()):
+        if abscissae.shape[-1] == 0 or not holds(torch.nn.functional.pad(abscissae, (1, 0)).diff() > 0):
             raise ValueRangeError(f"abscissae must increase from beyond the base, got {abscissae.tolist()}")
+        hold_rows(self, base_rotation=(base_rotation, 2), ends=(abscissae, 1))
         self.hold(s.changed(tangents=s.tangents or "measured"))
-        share = torch.arange(1, s.samples + 1, dtype=abscissae.dtype, device=abscissae.device) / s.samples
-        self.register_buffer("base_axis", base_rotation[:, 2].clone())
-        self.register_buffer("shares", share)
-        between = ends[..., :-1, None] + ends.diff().unsqueeze(-1) * share
-        hold_rows(self, abscissae=(between.flatten(-2), 1))
+
+    def derive(self) -> None:
+        """Where on each piece its points lie."""
+        like, n = self.ends, self.samples
+        share = torch.arange(1, n + 1, dtype=like.dtype, device=like.device) / n
+        self.register_buffer("shares", share, persistent=False)
+
+    @property
+    def abscissae(self) -> Tensor:
+        """(..., k samples) material abscissae of the curve's points, m."""
+        ends = torch.nn.functional.pad(self.ends, (1, 0))
+        return (ends[..., :-1, None] + ends.diff().unsqueeze(-1) * self.shares).flatten(-2)
 
     def forward(self, T: Tensor) -> Tensor:
         """Points (..., k samples, 3) m, world frame, at the material abscissae `abscissae` of an evenly stretched arm.
@@ -87,10 +95,10 @@ class SensorCurve(Part):
         Raises:
             ShapeError, DtypeError: T does not fit.
         """
-        check_tensor("T", T, (self.abscissae.shape[-1] // self.shares.shape[0], 4, 4))
-        check_same(T=T, abscissae=self.abscissae.to(T.dtype))
+        check_tensor("T", T, (self.ends.shape[-1], 4, 4))
+        check_same(T=T, abscissae=self.ends.to(T.dtype))
         base = torch.zeros_like(T[..., :1, :3, 3])
-        axis = self.base_axis.to(T).expand_as(base)
+        axis = self.base_rotation[:, 2].to(T).expand_as(base)
         position = torch.cat((base, T[..., :3, 3]), dim=-2)
         start, end = position[..., :-1, :], position[..., 1:, :]
         chord = (end - start).norm(dim=-1, keepdim=True)

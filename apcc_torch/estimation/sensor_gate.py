@@ -8,20 +8,28 @@ for without that the growing allowance would in the end accept a wrong rotation 
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from enum import IntEnum
-from typing import NamedTuple
+from math import inf, pi
+from typing import Any, NamedTuple
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
-from apcc_torch.errors import ShapeError, ValueRangeError
+from apcc_torch.part import Part, hold_rows
+from apcc_torch.settings import OURS, Settings, resolved, setting
 from apcc_torch.shapes import batch_shape, check_tensor
+from apcc_torch.spread import Numbers, spread
 
 
 class Reason(IntEnum):
-    """Why a position or a rotation was not accepted; the first that holds, in this order."""
+    """Why a position or a rotation was not accepted; the first that holds, in this order.
+
+    Example:
+        >>> Reason(6)
+        <Reason.JUMP: 6>
+    """
 
     OK = 0
     UNTRACKED = 1  # the source says so
@@ -67,18 +75,9 @@ class GateVerdict(NamedTuple):
     orientation_reason: Tensor
 
 
-def _per_sensor(name: str, value: float | Sequence[float], k: int) -> Tensor:
-    limits = torch.as_tensor(value, dtype=torch.float64)
-    if limits.shape not in ((), (k,)):
-        raise ShapeError(f"{name} must be a number or {k} of them, got shape {tuple(limits.shape)}")
-    if not bool((limits > 0).all()):  # NaN fails too
-        raise ValueRangeError(f"{name} must be positive, got {limits.tolist()}")
-    return limits.expand(k).clone()
-
-
 def _least_cos(limit: Tensor) -> Tensor:
     """The least cos of an angle up to `limit`; -2, which is below any cos, where any angle is."""
-    return torch.where(limit < math.pi, torch.cos(limit), -2.0)
+    return torch.where(limit < pi, torch.cos(limit), -2.0)
 
 
 def _cos_between(a: Tensor, b: Tensor) -> Tensor:
@@ -86,78 +85,90 @@ def _cos_between(a: Tensor, b: Tensor) -> Tensor:
     return 0.5 * ((a * b).sum((-2, -1)) - 1.0)
 
 
-class SensorGate(nn.Module):
+@dataclass(frozen=True, kw_only=True)
+class JumpSettings(Settings):
+    """How far a pose may be from the last accepted one: a margin, and a rate times the time since then."""
+
+    max_speed: float = setting(1.0, "m/s", OURS, "of a position; farther is a jump", above=0)
+    position_margin: float = setting(
+        0.01, "m", OURS, "that a position may jump at any time: noise, a late frame", least=0
+    )
+    max_angular_rate: float = setting(8.0, "rad/s", OURS, "of a rotation; farther is a jump", above=0)
+    angle_margin: float = setting(0.15, "rad", OURS, "that a rotation may jump at any time", least=0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class SensorGateSettings(JumpSettings):
+    """What an arm can do at all; an angle of pi allows any."""
+
+    reach: float | None = setting(
+        1.5, "", OURS, "largest distance from the base over a sensor's abscissa; null: any", above=0
+    )
+    max_bend: Numbers = setting(
+        pi / 2, "rad", OURS, "between a sensor and the next one towards the base, one or one a sensor", above=0
+    )
+    max_twist: Numbers = setting(0.8, "rad", OURS, "about the arm's own axis, one or one a sensor", above=0)
+    rotation_tolerance: float = setting(4e-3, "", OURS, "of the entries of R^T R - I", above=0)
+
+
+class SensorGate(Part):
     """Judges the poses of k sensors along an arm, numbered from the base to the tip, frame by frame.
 
-    Poses are those of `Calibration`: in the base frame, z along the resting arm, the identity rotation at rest. Each
-    limit is one number or one a sensor, and may be infinite. Before a sensor's first accepted pose nothing is a jump.
+    Poses are those of `RestCalibration`: in the base frame, z along the resting arm, the identity rotation at rest.
+    Before a sensor's first accepted pose nothing is a jump. Where the next sensor towards the base is not accepted in a
+    frame, the bend is judged against the one before it, with both limits added. The twist is that of a rotation's split
+    into a twist about z followed by a tilt; constant-curvature sections in a row have little of it.
 
     Args:
-        sensors: Number of sensors k.
-        max_speed: Limit of the position's speed, m/s.
-        position_margin: What a position may jump at any time (noise, a late frame), m.
-        max_angular_rate: Limit of the rotation's rate, rad/s.
-        angle_margin: What a rotation may jump at any time, rad.
-        max_reach: Limit of the distance from the base, m; a good choice is 1.5 times the sensor's abscissa.
-        max_bend: Limit of the angle between a sensor and the next one towards the base (the base for the first), rad.
-            Where that one is not accepted in this frame, the one before it serves, with both limits added.
-        max_twist: Limit of the angle about the arm's own axis, rad: of the twist in the split of the rotation into a
-            twist about z followed by a tilt. Constant-curvature sections in a row have little of it.
-        rotation_tolerance: Limit of the entries of R^T R - I.
+        abscissae: (k,) where the sensors sit, m.
+        given, changes: Settings.
 
     Raises:
-        ShapeError: A limit is neither a number nor one a sensor.
-        ValueRangeError: A limit is not positive.
+        ConfigError: A limit is neither a number nor one a sensor.
+        ValueRangeError: A limit is out of range.
+
+    Example:
+        >>> gate = SensorGate(torch.tensor([0.1, 0.2], dtype=torch.float64), max_speed=2.0)
+        >>> T, time = torch.eye(4, dtype=torch.float64).expand(2, 4, 4), torch.zeros((), dtype=torch.float64)
+        >>> state, verdict = gate(gate.initial_state(T, time), T, torch.tensor([True, False]), time)
+        >>> verdict.position_ok
+        tensor([ True, False])
     """
 
-    max_speed: Tensor
-    position_margin: Tensor
-    max_angular_rate: Tensor
-    angle_margin: Tensor
-    max_reach: Tensor
+    settings_type = SensorGateSettings
+
+    position_margin: float
+    max_speed: float
+    angle_margin: float
+    max_angular_rate: float
+    reach: float | None
     max_bend: Tensor
     max_twist: Tensor
+    rotation_tolerance: float
+    abscissae: Tensor
+    max_reach: Tensor
     identity: Tensor
     least_cos: Tensor  # of the angle between every two frames, the base first, (k + 1, k + 1)
 
-    def __init__(
-        self,
-        sensors: int,
-        max_speed: float | Sequence[float] = 1.0,
-        position_margin: float | Sequence[float] = 0.01,
-        max_angular_rate: float | Sequence[float] = 8.0,
-        angle_margin: float | Sequence[float] = 0.15,
-        max_reach: float | Sequence[float] = math.inf,
-        max_bend: float | Sequence[float] = math.pi / 2,
-        max_twist: float | Sequence[float] = 0.8,
-        rotation_tolerance: float = 4e-3,
-    ) -> None:
+    def __init__(self, abscissae: Tensor, *given: Any, **changes: Any) -> None:
         super().__init__()
-        if sensors < 1:
-            raise ValueRangeError(f"sensors must be at least 1, got {sensors}")
-        if not rotation_tolerance > 0:
-            raise ValueRangeError(f"rotation_tolerance must be positive, got {rotation_tolerance:g}")
-        self.sensors, self.rotation_tolerance = sensors, rotation_tolerance
-        for name, value in (
-            ("max_speed", max_speed),
-            ("position_margin", position_margin),
-            ("max_angular_rate", max_angular_rate),
-            ("angle_margin", angle_margin),
-            ("max_reach", max_reach),
-            ("max_bend", max_bend),
-            ("max_twist", max_twist),
-        ):
-            self.register_buffer(name, _per_sensor(name, value, sensors), persistent=False)
-        self.register_buffer("identity", torch.eye(3, dtype=torch.float64), persistent=False)
-        i = torch.arange(sensors + 1)
-        spanned = (i[:sensors] >= i[:, None, None]) & (i[:sensors] < i[:, None])  # [lower, upper, bend]
+        settings = resolved(SensorGateSettings, given, changes)
+        self.sensors = check_tensor("abscissae", abscissae, (None,)).shape[-1]
+        self.register_buffer("abscissae", abscissae)
+        for name in ("max_bend", "max_twist"):
+            hold_rows(self, **{name: (spread(name, getattr(settings, name), self.sensors), 1)})
+        self.hold(settings)
+
+    def derive(self) -> None:
+        """Distances and cosines that poses are held against."""
+        reach = torch.full_like(self.abscissae, inf) if self.reach is None else self.reach * self.abscissae
+        self.register_buffer("max_reach", reach.double(), persistent=False)
+        device = self.max_bend.device
+        self.register_buffer("identity", torch.eye(3, dtype=torch.float64, device=device), persistent=False)
+        i = torch.arange(self.sensors + 1, device=device)
+        spanned = (i[: self.sensors] >= i[:, None, None]) & (i[: self.sensors] < i[:, None])  # [lower, upper, bend]
         between = torch.where(spanned | spanned.transpose(0, 1), self.max_bend, 0.0).sum(-1)
         self.register_buffer("least_cos", _least_cos(between), persistent=False)
-
-    def extra_repr(self) -> str:
-        return ", ".join(
-            [f"sensors={self.sensors}", *(f"{name}={b.tolist()}" for name, b in self.named_buffers() if b.dim() == 1)]
-        )
 
     def initial_state(self, T: Tensor, time: Tensor) -> GateState:
         """The state before the first frame.
@@ -169,7 +180,7 @@ class SensorGate(nn.Module):
         check_tensor("T", T, (self.sensors, 4, 4))
         check_tensor("time", time, ())
         batch = batch_shape(T=(T, 3), time=(time, 0))
-        never = torch.full((*batch, self.sensors), -math.inf, dtype=time.dtype, device=time.device)
+        never = torch.full((*batch, self.sensors), -inf, dtype=time.dtype, device=time.device)
         eye = torch.eye(3, dtype=T.dtype, device=T.device)
         return GateState(
             T.new_zeros(*batch, self.sensors, 3), eye.expand(*batch, self.sensors, 3, 3).clone(), never, never
@@ -202,13 +213,13 @@ class SensorGate(nn.Module):
         common = ((Reason.UNTRACKED, ~tracked), (Reason.NON_FINITE, ~finite), (Reason.NOT_A_ROTATION, ~proper))
 
         waited = (now - state.position_time).clamp(min=0.0).to(p.dtype)
-        allowed = self.position_margin.to(p) + self.max_speed.to(p) * waited
+        allowed = self.position_margin + self.max_speed * waited
         far = torch.linalg.vector_norm(p, dim=-1) > self.max_reach.to(p)
         jump = torch.linalg.vector_norm(p - state.position, dim=-1) > allowed
         position_reason = _first((*common, (Reason.OUT_OF_REACH, far), (Reason.JUMP, jump)))
 
         waited = (now - state.rotation_time).clamp(min=0.0).to(p.dtype)
-        allowed = self.angle_margin.to(p) + self.max_angular_rate.to(p) * waited
+        allowed = self.angle_margin + self.max_angular_rate * waited
         twist = torch.atan2(R[..., 1, 0] - R[..., 0, 1], R[..., 0, 0] + R[..., 1, 1]).abs()
         jump = _cos_between(R, state.rotation) < _least_cos(allowed)
         reason = _first((*common, (Reason.TWISTED, twist > self.max_twist.to(p)), (Reason.JUMP, jump)))
@@ -242,8 +253,8 @@ class SensorGate(nn.Module):
 def _first(checks: Sequence[tuple[Reason, Tensor]]) -> Tensor:
     """The code of the first check that holds, Reason.OK where none does."""
     code = torch.zeros_like(checks[-1][1], dtype=torch.int64)
-    for reason, holds in reversed(checks):
-        code = code.masked_fill(holds, int(reason))
+    for reason, applies in reversed(checks):
+        code = code.masked_fill(applies, int(reason))
     return code
 
 
@@ -259,6 +270,14 @@ def gate_recording(gate: SensorGate, T: Tensor, tracked: Tensor, times: Tensor) 
     Returns:
         The poses with the last accepted ones held where one was not accepted, shape (N, k, 4, 4), and the verdicts,
         each of shape (N, k).
+
+    Example:
+        >>> gate, T = SensorGate(torch.tensor([0.3]).double()), torch.eye(4).double().repeat(3, 1, 1, 1)
+        >>> T[1, 0, 0, 3] = 0.4
+        >>> times, tracked = torch.tensor([0.0, 0.01, 0.02]).double(), torch.ones(3, 1).bool()
+        >>> held, verdict = gate_recording(gate, T, tracked, times)
+        >>> held[:, 0, 0, 3], [Reason(int(each)).name for each in verdict.position_reason]
+        (tensor([0., 0., 0.], dtype=torch.float64), ['OK', 'JUMP', 'OK'])
     """
     state = gate.initial_state(T[0], times[0])
     held, verdicts = [], []
@@ -278,7 +297,7 @@ def count_reasons(verdict: GateVerdict) -> dict[str, list[int]]:
     counts = {}
     for what, codes in (("position", verdict.position_reason), ("orientation", verdict.orientation_reason)):
         for reason in list(Reason)[1:]:
-            found = (codes == reason).reshape(-1, codes.shape[-1]).sum(0).tolist()
-            if any(found):
-                counts[f"{what}_{reason.name.lower()}"] = found
+            each = (codes == reason).reshape(-1, codes.shape[-1]).sum(0).tolist()
+            if any(each):
+                counts[f"{what}_{reason.name.lower()}"] = each
     return counts

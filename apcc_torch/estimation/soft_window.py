@@ -7,6 +7,7 @@ from torch import Tensor
 
 from apcc_torch.errors import ValueRangeError
 from apcc_torch.estimation.savitzky_golay import SavitzkyGolay
+from apcc_torch.modes import holds
 from apcc_torch.part import hold_rows
 from apcc_torch.shapes import check_positive, check_tensor
 
@@ -25,6 +26,14 @@ class SoftWindow(SavitzkyGolay):
 
     Raises:
         ShapeError, ValueRangeError: An argument is out of its range.
+
+    Example:
+        >>> window = SoftWindow(torch.tensor([0.2, 0.5, 1.0]).double(), order=1)
+        >>> state = window.initial_state(torch.zeros(1).double(), torch.tensor(0.0).double())
+        >>> for time in torch.tensor([0.1, 0.2, 0.3]).double():
+        ...     state, slope = window(state, 2.0 * time.unsqueeze(-1), time)
+        >>> slope
+        tensor([2.0000], dtype=torch.float64)
     """
 
     weights: Tensor
@@ -32,9 +41,9 @@ class SoftWindow(SavitzkyGolay):
     def __init__(self, weights: Tensor, order: int, derivative: int = 1) -> None:
         check_positive("weights", check_tensor("weights", weights, (None,)))
         super().__init__(weights.shape[-1], order, derivative)
-        if float((weights.detach().amin(-1) / weights.detach().amax(-1)).min()) < torch.finfo(weights.dtype).eps:
+        if not holds(weights.amin(-1) / weights.amax(-1) >= torch.finfo(weights.dtype).eps):
             raise ValueRangeError("weights must not differ by more than the number of digits of their dtype")
-        hold_rows(self, weights=(weights / weights.amax(-1, keepdim=True), 1))
+        hold_rows(self, weights=(weights, 1))
 
     def _importance(self, like: Tensor) -> Tensor:
-        return self.weights.to(like)
+        return (self.weights / self.weights.amax(-1, keepdim=True)).to(like)

@@ -16,6 +16,7 @@ from apcc_torch.estimation.iteration import Rules, iterate
 from apcc_torch.estimation.step import Residual, damped_step, row_weights
 from apcc_torch.model.abscissae import MaterialPoints, located
 from apcc_torch.model.kinematic_model import KinematicModel, Placed
+from apcc_torch.modes import holds
 from apcc_torch.part import Part, hold_rows
 from apcc_torch.settings import OURS, PAPER, Setting, Settings, aligned, resolved, setting
 from apcc_torch.shapes import batch_shape, check_finite, check_same, check_tensor
@@ -126,7 +127,7 @@ class StateFeedback(Part):
         check_finite("abscissae", abscissae)
         if abscissae.shape[-1] == 0:
             raise ValueRangeError("abscissae must name at least one sensor, got an empty set")
-        if bool((abscissae.diff(dim=-1) <= 0).any()) or bool((abscissae < 0).any()):
+        if not (holds(abscissae.diff(dim=-1) > 0) and holds(abscissae >= 0)):
             raise ValueRangeError(f"abscissae must be increasing and not negative, got {abscissae.tolist()}")
         self.backbone = backbone
         self.hold(resolved(StateFeedbackSettings, settings, changes))
@@ -173,8 +174,9 @@ class StateFeedback(Part):
     ) -> Inference:
         """`forward`, with what it knows at its end; only the masks are checked here."""
         usable, oriented = self.used(T, mask, angular_mask)
-        shapes = {q_seed.shape[:-1], pi_hat.shape[:-1], oriented.shape[:-1]}
-        batch = shapes.pop() if len(shapes) == 1 else torch.broadcast_shapes(*shapes)
+        batch, *others = q_seed.shape[:-1], pi_hat.shape[:-1], oriented.shape[:-1]
+        if any(shape != batch for shape in others):
+            batch = torch.broadcast_shapes(batch, *others)
         usable, oriented, pi_hat, q_seed = (v.expand(*batch, v.shape[-1]) for v in (usable, oriented, pi_hat, q_seed))
         # What is left out is measured where the model has it: it pulls nowhere, and nothing non-finite enters.
         T = torch.where(usable[..., None, None], T, 0.0)

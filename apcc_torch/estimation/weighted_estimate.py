@@ -9,13 +9,19 @@ import torch
 from torch import Tensor
 
 from apcc_torch.linalg import solve_spd
+from apcc_torch.modes import full_precision
 
 # How much wider than the limit of what counts as known the unknowns may lie: a prior that keeps the solve regular.
 PRIOR = 100.0
 
 
 class EstimateStatus(IntEnum):
-    """What a row of an estimate is worth."""
+    """What a row of an estimate is worth.
+
+    Example:
+        >>> EstimateStatus(0)
+        <EstimateStatus.DETERMINED: 0>
+    """
 
     DETERMINED = 0
     """Every component is known."""
@@ -54,6 +60,7 @@ class WeightedEstimate(NamedTuple):
         return WeightedEstimate(value, covariance, residual, misfit, self.status)
 
 
+@full_precision
 def weighted_estimate(r: Tensor, Phi: Tensor, S: Tensor, limit: Tensor) -> WeightedEstimate:
     """The unknowns theta of r = Phi theta, weighted by S^-1.
 
@@ -65,6 +72,14 @@ def weighted_estimate(r: Tensor, Phi: Tensor, S: Tensor, limit: Tensor) -> Weigh
         Phi: (..., n, p).
         S: (..., n, n) covariance of r.
         limit: (p,) largest standard deviation of a component that counts as determined.
+
+    Example:
+        >>> Phi, r = torch.tensor([[1.0, 0.0], [1.0, 0.0]]).double(), torch.tensor([0.9, 1.1]).double()
+        >>> estimate = weighted_estimate(r, Phi, torch.eye(2).double(), torch.tensor([10.0, 10.0]).double())
+        >>> estimate.value
+        tensor([1.0000,    nan], dtype=torch.float64)
+        >>> EstimateStatus(int(estimate.status)).name
+        'PARTLY'
     """
     batch = torch.broadcast_shapes(r.shape[:-1], Phi.shape[:-2], S.shape[:-2])
     r, Phi = r.expand(*batch, r.shape[-1]), Phi.expand(*batch, *Phi.shape[-2:])

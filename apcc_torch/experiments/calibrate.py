@@ -9,15 +9,15 @@ from pathlib import Path
 
 import torch
 
-from apcc_torch.composition.build_devices import Devices
 from apcc_torch.composition.build_realtime import RealtimeBuilder
-from apcc_torch.composition.calibrated import body_names, calibrated, device_settings
-from apcc_torch.composition.realtime import RealtimeConfig
+from apcc_torch.composition.calibrated import calibrated, lasting_settings
+from apcc_torch.composition.realtime import RealtimeSettings
 from apcc_torch.errors import HardwareError
 from apcc_torch.experiments.folder import versions
 from apcc_torch.files import write_json
-from apcc_torch.hardware.calibration_file import ArmCalibration, rest_calibration
-from apcc_torch.hardware.calibration_measurement import SignCheck, hanging_poses
+from apcc_torch.hardware.calibration_file import ArmCalibration
+from apcc_torch.hardware.calibration_measurement import SignCheck, hanging_poses, rest_calibration
+from apcc_torch.hardware.devices import Devices
 from apcc_torch.hardware.interfaces import Array
 from apcc_torch.hardware.realtime import realtime
 from apcc_torch.hardware.records import Outcome
@@ -30,16 +30,16 @@ log = logging.getLogger(__name__)
 KIND, CALIBRATION = "calibration", "calibration.json"
 
 
-def run(config: RealtimeConfig, folder: Path) -> tuple[Outcome, dict[str, float]]:
+def run(settings: RealtimeSettings, folder: Path) -> tuple[Outcome, dict[str, float]]:
     """Measures, and writes calibration.json into `folder` and to `calibration.file` if that is given.
 
     Returns:
-        How it ended, and what was found in numbers.
+        How it ended, and what was measured in numbers.
 
     Raises:
-        ConfigError, ValueRangeError: A setting has no meaning, or the bodies are not where `robot.sensors` says.
+        ConfigError, ValueRangeError: A setting has no meaning, or the bodies are not where `arm.sensors` says.
     """
-    devices = RealtimeBuilder(config).devices()
+    devices = RealtimeBuilder(settings).devices()
     request = StopRequest()
     connected = False
     try:
@@ -51,23 +51,23 @@ def run(config: RealtimeConfig, folder: Path) -> tuple[Outcome, dict[str, float]
             stack.callback(devices.sensor.disconnect)
             devices.sensor.connect()
             connected = True
-            found = measured(config, devices, request)
+            calibration = measured(settings, devices, request)
     except Halt as halt:
         return _outcome(halt.stop), {}
     except HardwareError as error:
         return _outcome(Stop(StopReason.NOT_ARMED if connected else StopReason.NOT_CONNECTED, str(error))), {}
-    calibrated(config, found)
-    paths = [folder / CALIBRATION, *([] if config.calibration.file is None else [Path(config.calibration.file)])]
+    calibrated(settings, calibration)
+    paths = [folder / CALIBRATION, *([] if settings.calibration.file is None else [Path(settings.calibration.file)])]
     for path in paths:
-        found.save(path)
-    metrics = _metrics(found)
-    write_json(folder / "versions.json", {**versions(), "seed": config.seed})
+        calibration.save(path)
+    metrics = _metrics(calibration)
+    write_json(folder / "versions.json", {**versions(), "seed": settings.seed})
     write_json(folder / "metrics.json", metrics)
-    message = f"calibration {found.id} is in {paths[-1]}: confirm it with calibration.file={paths[-1]}"
+    message = f"calibration {calibration.id} is in {paths[-1]}: confirm it with calibration.file={paths[-1]}"
     return _outcome(Stop(StopReason.COMPLETED, message)), metrics
 
 
-def measured(config: RealtimeConfig, devices: Devices, request: StopRequest) -> ArmCalibration:
+def measured(settings: RealtimeSettings, devices: Devices, request: StopRequest) -> ArmCalibration:
     """The calibration of connected devices.
 
     Raises:
@@ -75,22 +75,21 @@ def measured(config: RealtimeConfig, devices: Devices, request: StopRequest) -> 
         HardwareError: A device failed.
         Halt: It was asked to stop.
     """
-    build, c = RealtimeBuilder(config), config.calibration
-    actuator, sensor = devices.actuator, devices.sensor
-    T = hanging_poses(sensor, devices.clock, c.frames, c.timeout)
-    rest = rest_calibration(body_names(config), T, build.model.base_rotation(), c.scatter)
+    build, c = RealtimeBuilder(settings), settings.calibration
+    actuator, sensor, clock = devices.actuator, devices.sensor, devices.world.clock
+    T = hanging_poses(sensor, clock, c)
+    rest = rest_calibration(sensor.names, T, build.model.base_rotation(), c.scatter)
     tendons = actuator.calibrate()
     base = None if sensor.base is None else sensor.base.tolist()
     signs = None
     if c.check_signs:
-        settings = build.guards(), build.loop()
         check = SignCheck(
-            actuator, sensor, devices.clock, pull_directions(build), build.limits(), settings[0].effort_cap, c.pull,
-            settings[1].period, request,
+            actuator, sensor, clock, pull_directions(build), build.limits(), settings.guards.effort_cap, c.pull,
+            settings.loop.period, request,
         )  # fmt: skip
         signs = check.run()
     made_at = datetime.now(UTC).isoformat(timespec="seconds")
-    return ArmCalibration(made_at, device_settings(config), versions(), tendons, base, rest, signs)
+    return ArmCalibration(made_at, lasting_settings(settings), versions(), tendons, base, rest, signs)
 
 
 def pull_directions(build: RealtimeBuilder) -> Array:
@@ -106,15 +105,15 @@ def _outcome(stop: Stop) -> Outcome:
     return Outcome(stop.reason, stop.message, None, state, 0, 0.0, 0)
 
 
-def _metrics(found: ArmCalibration) -> dict[str, float]:
+def _metrics(calibration: ArmCalibration) -> dict[str, float]:
     metrics = {
         "exit_code": 0.0,
-        "rest_frames": float(found.rest.rest_frames),
-        "rest_scatter_mm": 1e3 * found.rest.rest_scatter_m,
-        "rest_scatter_rad": found.rest.rest_scatter_rad,
+        "rest_frames": float(calibration.rest.rest_frames),
+        "rest_scatter_mm": 1e3 * calibration.rest.rest_scatter_m,
+        "rest_scatter_rad": calibration.rest.rest_scatter_rad,
     }
-    for name, abscissa in zip(found.rest.names, found.rest.abscissae.tolist(), strict=True):
+    for name, abscissa in zip(calibration.rest.names, calibration.rest.abscissae.tolist(), strict=True):
         metrics[f"abscissa_{name}_mm"] = 1e3 * abscissa
-    for k, moved in enumerate(found.signs or ()):
+    for k, moved in enumerate(calibration.signs or ()):
         metrics[f"pull_{k + 1}_tip_mm"] = 1e3 * moved
     return metrics

@@ -11,13 +11,13 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from apcc_torch.composition import identify as settings
-from apcc_torch.composition.identify import IdentifyConfig
-from apcc_torch.errors import ConfigError, DataError
+from apcc_torch.composition.identify import IdentifySettings, parameters, recorded
+from apcc_torch.errors import DataError
 from apcc_torch.experiments.folder import RunFolder
 from apcc_torch.experiments.identification_report import report_text
 from apcc_torch.files import write_atomically, write_json
-from apcc_torch.identification.fit import Fit, fit
+from apcc_torch.identification.arm_blocks import account, identified_arm
+from apcc_torch.identification.fit import Fit, FitSettings, fit
 from apcc_torch.identification.intervals import Interval, disagreement, intervals, unknown_directions
 from apcc_torch.identification.online import adapt
 from apcc_torch.identification.parameters import Parameters
@@ -54,7 +54,7 @@ class Task(NamedTuple):
     series: Series
     drive: Drive
     used: Tensor
-    config: IdentifyConfig
+    settings: FitSettings
     say: Say
 
 
@@ -65,8 +65,7 @@ def identified(task: Task, arm: TendonArm, parameters: Parameters) -> Identified
         DataError: The model has no equilibrium at the first parameters, or none at a sample after the fit.
     """
     given = task.drive.rows(task.used), task.series.positions[task.used]
-    settings = task.config.fit
-    result = fit(arm, parameters, *given, steps=settings.steps, rounds=settings.rounds, progress=task.say)
+    result = fit(arm, parameters, *given, task.settings, progress=task.say)
     prediction = arm.predict(task.drive, parameters.values(result.z))
     if not bool(prediction.isfinite().all()):
         row = int((~prediction.isfinite()).nonzero()[0, 0])
@@ -77,7 +76,14 @@ def identified(task: Task, arm: TendonArm, parameters: Parameters) -> Identified
 def halves(task: Task, arm: TendonArm, model: Identified) -> float:
     """`disagreement` of fits to the earlier and to the later half of the samples in use."""
     fits = [
-        fit(arm, model.parameters, task.drive.rows(part), task.series.positions[part], model.fit.z, rounds=1)
+        fit(
+            arm,
+            model.parameters,
+            task.drive.rows(part),
+            task.series.positions[part],
+            FitSettings(rounds=1),
+            model.fit.z,
+        )
         for part in task.used.chunk(2)
     ]
     return disagreement(*fits)
@@ -93,13 +99,7 @@ def compare(series: Series, parts: Split, used: Tensor) -> dict[str, Tensor]:
     }
 
 
-def without_friction(parameters: Parameters, config: IdentifyConfig) -> Parameters:
-    """The parameters, friction among them only where sliding is modelled."""
-    free = [name for name in parameters.blocks if name != "friction" or config.fit.slide_travel > 0]
-    return parameters.holding(free)
-
-
-def run(config: IdentifyConfig, folder: Path, say: Say) -> tuple[dict[str, float], str]:
+def run(settings: IdentifySettings, folder: Path, say: Say) -> tuple[dict[str, float], str]:
     """Fits, compares and writes the run's folder; returns the metrics and the report.
 
     Raises:
@@ -107,39 +107,33 @@ def run(config: IdentifyConfig, folder: Path, say: Say) -> tuple[dict[str, float
         DataError: The recording cannot be read or used.
     """
     started = time.perf_counter()
-    if config.threads is not None:
-        torch.set_num_threads(config.threads)
-    series = settings.read(config)
-    layout = settings.layout(config, series)
-    parameters = without_friction(settings.parameters(config, layout), config)
-    if not len(parameters):
-        raise ConfigError("blocks: every spread is zero, so there is nothing to fit")
-    parts = split(series.groups, config.split.by, config.split.folds, config.split.fold)
-    used = thinned(parts.training, config.fit.samples)
-    drive = series.drive(config.fit.history, config.fit.slide_travel)
-    arm, geometry = TendonArm(layout), TendonArm(layout, kinematic=True)
-    geometric = parameters.holding([name for name in config.fit.geometric if name in parameters.blocks])
+    if settings.threads is not None:
+        torch.set_num_threads(settings.threads)
+    series, blocks = recorded(settings), parameters(settings)
+    parts = split(series.groups, settings.split)
+    used = thinned(parts.training, settings.fit.samples)
+    drive = series.drive(settings.fit.history, settings.fit.slide_travel)
+    arm, geometry = TendonArm(settings.arm), TendonArm(settings.arm, kinematic=True)
+    geometric = blocks.holding(settings.fit.geometric)
 
-    task = Task(series, drive, used, config, say)
+    task = Task(series, drive, used, settings.fit, say)
     predictions = compare(series, parts, used)
     predictions["pcc_nominal"] = geometry.predict(drive, geometric.values(geometric.nominal()))
     say("PCC geometry")
     predictions["pcc_identified"] = identified(task, geometry, geometric).prediction
     say("PCC geometry, online")
-    seen = thinned(torch.arange(len(series)), config.fit.online_samples)
-    online, _ = adapt(
-        geometry, geometric, drive.rows(seen), series.positions[seen], config.fit.online_noise, config.fit.online_walk
-    )
+    seen = thinned(torch.arange(len(series)), settings.online.samples)
+    online, _ = adapt(geometry, geometric, drive.rows(seen), series.positions[seen], settings.online)
     predictions["pcc_online"] = torch.full_like(series.positions, torch.nan).index_copy(0, seen, online)
     say("the arm")
-    model = identified(task, arm, parameters)
+    model = identified(task, arm, blocks)
     predictions["arm_identified"] = model.prediction
     spread = halves(task, arm, model)
 
-    values = parameters.values(model.fit.z)
-    length = 1e3 * float(config_length(parameters))
-    found = intervals(parameters, model.fit)
-    unknown = unknown_directions(parameters, model.fit)
+    values = blocks.values(model.fit.z)
+    length = 1e3 * float(settings.arm.rest_lengths().sum())
+    answer = intervals(blocks, model.fit)
+    unknown = unknown_directions(blocks, model.fit)
     information = torch.linalg.eigvalsh(model.fit.information)
     metrics = _metrics(series, parts, predictions, length)
     metrics |= {
@@ -156,21 +150,19 @@ def run(config: IdentifyConfig, folder: Path, say: Say) -> tuple[dict[str, float
         "unknown_directions": len(unknown),
         "wall_s": time.perf_counter() - started,
     }
-    text = report_text(config.name, metrics, list(predictions), found, unknown)
+    name = settings.arm.name
+    text = report_text(name, metrics, list(predictions), answer, unknown)
     write_atomically(folder / "table.txt", text + "\n")
-    write_json(folder / "parameters.json", {"parameters": [_plain(entry, spread) for entry in found]})
-    if config.figures:
-        outcome = Outcome(series.positions, predictions, parts.validation, arm.rest(drive, values), found)
-        save_figures(identification_figures(outcome, length, config.name), folder / "figures")
+    write_json(folder / "parameters.json", {"parameters": [_plain(entry, spread) for entry in answer]})
+    origin = f"{name}, from {settings.data} by python -m apcc_torch.identify; parameters.json has the intervals."
+    identified_arm(settings.arm, values).save(folder / "arm.yaml", f"{origin}\n{account(blocks)}")
+    if settings.figures:
+        outcome = Outcome(series.positions, predictions, parts.validation, arm.rest(drive, values), answer)
+        save_figures(identification_figures(outcome, length, name), folder / "figures")
     held = torch.zeros(len(series), dtype=torch.bool).index_fill(0, parts.validation, True)
     arrays = {"time": series.times, "inputs": series.inputs, "measured": series.positions, "held_back": held}
     RunFolder(folder).write(metrics, arrays | predictions, 0)
     return metrics, text
-
-
-def config_length(parameters: Parameters) -> Tensor:
-    """The arm's length as built, m: that of percentages."""
-    return parameters.blocks["rest_length"].nominal.sum()
 
 
 def _plain(entry: Interval, disagreed: float) -> dict[str, object]:
@@ -179,16 +171,16 @@ def _plain(entry: Interval, disagreed: float) -> dict[str, object]:
 
 def _metrics(series: Series, parts: Split, predictions: dict[str, Tensor], length: float) -> dict[str, float]:
     """Errors of every model: of the tip on what was held back and on what was not, and of the other bodies."""
-    found: dict[str, float] = {}
+    answer: dict[str, float] = {}
     for name, prediction in predictions.items():
         known = prediction.isfinite().flatten(1).all(-1)
         held, given = (index[known[index]] for index in (parts.validation, parts.training))
         tip = error(series.positions[held, -1], prediction[held, -1])
-        found |= {
+        answer |= {
             f"{name}_tip_rmse_mm": tip,
             f"{name}_tip_rmse_percent": 100.0 * tip / length,
             f"{name}_training_tip_rmse_mm": error(series.positions[given, -1], prediction[given, -1]),
         }
         for k in range(series.positions.shape[1] - 1):
-            found[f"{name}_body_{k + 1}_rmse_mm"] = error(series.positions[held, k], prediction[held, k])
-    return found
+            answer[f"{name}_body_{k + 1}_rmse_mm"] = error(series.positions[held, k], prediction[held, k])
+    return answer

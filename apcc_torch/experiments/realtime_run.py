@@ -9,18 +9,16 @@ from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 
-from omegaconf import DictConfig, OmegaConf
-
-from apcc_torch.composition.build_devices import Devices
 from apcc_torch.composition.build_realtime import RealtimeBuilder
 from apcc_torch.composition.calibrated import calibrated, load_calibration
-from apcc_torch.composition.realtime import RealtimeConfig
-from apcc_torch.composition.schema import typed
+from apcc_torch.composition.realtime import RealtimeSettings, from_text
+from apcc_torch.composition.schema import text
 from apcc_torch.errors import DataError
 from apcc_torch.experiments.folder import versions
 from apcc_torch.files import write_json
-from apcc_torch.hardware.calibration_confirmation import CalibrationTolerances, calibration_checks
+from apcc_torch.hardware.calibration_confirmation import calibration_checks
 from apcc_torch.hardware.calibration_file import ArmCalibration
+from apcc_torch.hardware.devices import Devices
 from apcc_torch.hardware.log import RunLog
 from apcc_torch.hardware.log_reader import RobotLog
 from apcc_torch.hardware.log_replay import Replayed, replay
@@ -39,12 +37,11 @@ log = logging.getLogger(__name__)
 LOG, CONFIG, CALIBRATION = "log.mcap", "config.yaml", "calibration.json"
 
 
-def run(config: RealtimeConfig, settings: str, folder: Path) -> tuple[Outcome, dict[str, float]]:
+def run(settings: RealtimeSettings, folder: Path) -> tuple[Outcome, dict[str, float]]:
     """Runs the configured experiment once.
 
     Args:
-        config: Settings.
-        settings: The same as text, for the log.
+        settings: Of the run; its log carries them.
         folder: For the log, events and metrics.
 
     Returns:
@@ -55,14 +52,15 @@ def run(config: RealtimeConfig, settings: str, folder: Path) -> tuple[Outcome, d
         DataError: The log cannot be opened.
         HardwareError: The priority or memory that was asked for is refused.
     """
-    calibration = load_calibration(config)
+    calibration = load_calibration(settings)
     # The devices are what they are, whatever the model takes from the calibration.
-    devices = RealtimeBuilder(config).devices()
-    attached = {CONFIG: settings}
+    devices = RealtimeBuilder(settings).devices()
+    attached = {}
     if calibration is not None:
-        config = calibrated(config, calibration)
-        attached = {CONFIG: OmegaConf.to_yaml(OmegaConf.structured(config)), CALIBRATION: calibration.text()}
-    build = RealtimeBuilder(config)
+        settings = calibrated(settings, calibration)
+        attached[CALIBRATION] = calibration.text()
+    attached[CONFIG] = text(settings)
+    build = RealtimeBuilder(settings)
     summary = Summary()
     observers: list[Observer] = [summary]
     request = StopRequest()
@@ -70,17 +68,17 @@ def run(config: RealtimeConfig, settings: str, folder: Path) -> tuple[Outcome, d
     log_file = None
     with ExitStack() as stack:
         stack.enter_context(request.on_signals())
-        if config.log:
+        if settings.log:
             log_file = stack.enter_context(_log(build, devices, attached, folder))
             observers.append(log_file)
-        if config.view and sys.stdout.isatty():
+        if settings.view and sys.stdout.isatty():
             observers.append(stack.enter_context(LiveView(sys.stdout)))
-        stack.enter_context(realtime(config.loop.priority, config.loop.lock_memory))
+        stack.enter_context(realtime(settings.loop.priority, settings.loop.lock_memory))
         outcome = Runner(setup).run()
     failure = None if log_file is None else log_file.failure()
-    metrics = summary.metrics(outcome) | devices.metrics()
+    metrics = summary.metrics(outcome) | devices.world.metrics()
     try:
-        _write(folder, config, summary.events, metrics)
+        _write(folder, settings.seed, summary.events, metrics)
     except OSError as error:
         failure = failure or f"{folder} cannot be written: {error}"
     if failure is not None:
@@ -104,17 +102,16 @@ def _setup(
         build.control(),
         build.limits(),
         build.guards(),
-        build.loop(),
-        devices.clock,
+        build.settings.loop,
+        devices.world.clock,
+        build.settings.experiment.duration,
         request,
         observers,
         prepared=freeze,
     )
     if calibration is None:
         return setup
-    c = build.config.calibration
-    tolerances = CalibrationTolerances(c.base_tolerance, c.base_angle_tolerance, c.rest_tolerance)
-    return replace(setup, checks=calibration_checks(calibration, setup, tolerances))
+    return replace(setup, checks=calibration_checks(calibration, setup, build.settings.calibration))
 
 
 def _log(build: RealtimeBuilder, devices: Devices, attached: dict[str, str], folder: Path) -> RunLog:
@@ -122,11 +119,11 @@ def _log(build: RealtimeBuilder, devices: Devices, attached: dict[str, str], fol
         stream = (folder / LOG).open("wb")
     except OSError as error:
         raise DataError(f"the log {folder / LOG} cannot be opened: {error.strerror}") from error
-    offset = time.time() - devices.clock.now()
+    offset = time.time() - devices.world.clock.now()
     return RunLog(stream, build.layouts(), offset, {"versions": versions()}, attached)
 
 
-def _write(folder: Path, config: RealtimeConfig, events: list[Event], metrics: dict[str, float]) -> None:
+def _write(folder: Path, seed: int, events: list[Event], metrics: dict[str, float]) -> None:
     """events.json, versions.json and, last, metrics.json: a folder with metrics is complete."""
     rows = [
         {
@@ -139,22 +136,20 @@ def _write(folder: Path, config: RealtimeConfig, events: list[Event], metrics: d
         for event in events
     ]
     write_json(folder / "events.json", {"events": rows})
-    write_json(folder / "versions.json", {**versions(), "seed": config.seed})
+    write_json(folder / "versions.json", {**versions(), "seed": seed})
     write_json(folder / "metrics.json", metrics)
 
 
-def settings_of(record: RobotLog) -> RealtimeConfig:
+def settings_of(record: RobotLog) -> RealtimeSettings:
     """The settings that a log carries.
 
     Raises:
         DataError: It carries none.
-        ConfigError: They have no meaning.
+        ConfigError: They have no meaning, or name a class that is neither of this package nor allowed.
     """
     if CONFIG not in record.attachments:
         raise DataError("the log carries no settings to build its controller from")
-    cfg = OmegaConf.merge(OmegaConf.structured(RealtimeConfig), OmegaConf.create(record.attachments[CONFIG]))
-    assert isinstance(cfg, DictConfig)  # what merging structured settings gives
-    return typed(cfg, RealtimeConfig)
+    return from_text(record.attachments[CONFIG])
 
 
 def replay_log(record: RobotLog) -> Replayed:

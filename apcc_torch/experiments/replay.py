@@ -55,13 +55,7 @@ def run(config: SimulateSettings, folder: Path) -> dict[str, float]:
     arm = config.arm.changed(lengths=lengths, sensors=abscissae, racks=abscissae)
     build = Builder(config.changed(arm=arm))
     controller = build.controller()
-    gate = SensorGate(
-        len(abscissae),
-        max_speed=r.max_speed,
-        max_angular_rate=r.max_angular_rate,
-        max_twist=r.max_twist,
-        max_reach=[1.5 * a for a in abscissae],
-    )
+    gate = SensorGate(calibration.abscissae, r.gate)
     frames = slice(r.frames)
     with torch.inference_mode():
         log = replay(

@@ -7,7 +7,7 @@ import numpy as np
 from apcc_torch.errors import SafetyError
 from apcc_torch.hardware.interfaces import Array
 from apcc_torch.hardware.journal import Journal
-from apcc_torch.hardware.sensing import Seen
+from apcc_torch.hardware.sensing import GatedFrame
 from apcc_torch.hardware.setup import Setup
 from apcc_torch.hardware.states import State
 from apcc_torch.hardware.stops import Halt
@@ -48,7 +48,7 @@ def arm(setup: Setup, journal: Journal) -> Array:
     return limits.nearest(after.y)
 
 
-def complete_frame(setup: Setup) -> Seen:
+def complete_frame(setup: Setup) -> GatedFrame:
     """A frame with every body, the last of enough in a row.
 
     Raises:
@@ -60,17 +60,17 @@ def complete_frame(setup: Setup) -> Seen:
     reason = "none came"
     while (left := end - clock.now()) > 0:
         sample = setup.sensor.wait(left, number)
-        seen = setup.sensing.look(sample, clock.now())
+        frame = setup.sensing.look(sample, clock.now())
         if sample is not None:
             number = sample.sequence
-        if seen is None:
+        if frame is None:
             continue
-        row = row + 1 if seen.complete else 0
+        row = row + 1 if frame.complete else 0
         if row >= loop.fresh_frames:
-            return seen
-        if not seen.complete:
+            return frame
+        if not frame.complete:
             reason = (
-                f"the last had age {seen.age:.3f} s, positions {seen.position_ok.tolist()}, "
-                f"rotations {seen.orientation_ok.tolist()}"
+                f"the last had age {frame.age:.3f} s, positions {frame.position_ok.tolist()}, "
+                f"rotations {frame.orientation_ok.tolist()}"
             )
     raise SafetyError(f"no {loop.fresh_frames} complete frames in a row within {loop.fresh_timeout:g} s: {reason}")

@@ -1,22 +1,16 @@
-"""The calibration of an arm: what was found of its motors and bodies as it hung at rest, in one versioned file."""
+"""The calibration of an arm: what was measured of its motors and bodies as it hung at rest, in one versioned file."""
 
 from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
 
-import numpy as np
-import torch
-from torch import Tensor
-
-from apcc_torch.errors import DataError, SafetyError
-from apcc_torch.estimation.rest_calibration import Calibration
+from apcc_torch.errors import DataError
+from apcc_torch.estimation.rest_calibration import RestCalibration
 from apcc_torch.files import write_json
-from apcc_torch.hardware.interfaces import Array
-from apcc_torch.lie.rotations import chordal_mean, rotation_angle
 
 KIND, VERSION = "apcc_torch.arm_calibration", 1
 
@@ -29,7 +23,7 @@ class ArmCalibration:
         made_at: Date and time, ISO 8601, UTC.
         settings: What it holds for: the devices' settings that lengths and poses depend on.
         versions: Of the programs that made it.
-        actuator: What `TendonActuator.calibrate` found.
+        actuator: What `TendonActuator.calibrate` returned.
         base: The arm's base frame in the source's own world, m, (4, 4) row by row; None where the source does not tell.
         rest: Names, mounts and abscissae of the bodies.
         signs: (n_a,) m by which the tip went the right way as each tendon was pulled in; None if that was not tried.
@@ -40,7 +34,7 @@ class ArmCalibration:
     versions: dict[str, str]
     actuator: dict[str, object]
     base: list[list[float]] | None
-    rest: Calibration
+    rest: RestCalibration
     signs: list[float] | None = None
 
     def content(self) -> dict[str, object]:
@@ -83,41 +77,12 @@ class ArmCalibration:
             values = {field.name: content[field.name] for field in fields(ArmCalibration)}
         except KeyError as error:
             raise DataError(f"the calibration {path} lacks the entry {error}") from error
-        found = ArmCalibration(**values | {"rest": Calibration.of(values["rest"], path)})
-        if content.get("id") != found.id:
+        calibration = ArmCalibration(**values | {"rest": RestCalibration.of(values["rest"], path)})
+        if content.get("id") != calibration.id:
             raise DataError(f"the calibration {path} was changed: its content does not fit its id {content.get('id')}")
-        return found
+        return calibration
 
 
 def fingerprint(content: Mapping[str, object]) -> str:
     """Twelve characters that stand for plain values."""
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:12]
-
-
-def rest_calibration(names: Sequence[str], T: Array, base_rotation: Tensor, scatter: float) -> Calibration:
-    """Mounts and abscissae from the arm hanging at rest; it counts as straight, along the base's axis.
-
-    Args:
-        names: Of the k bodies, from the base to the tip.
-        T: (N, k, 4, 4) their poses in the arm's base frame, m.
-        base_rotation: (3, 3) the model's base in that frame.
-        scatter: Largest distance of a frame from the rest pose, m.
-
-    Raises:
-        SafetyError: A body moved, or they are not in order along the arm.
-    """
-    poses = torch.tensor(T)
-    P = torch.tensor(np.median(T[..., :3, 3], axis=0))
-    R = torch.stack([chordal_mean(poses[:, k, :3, :3]) for k in range(len(names))])
-    far = torch.linalg.vector_norm(poses[..., :3, 3] - P, dim=-1).amax(0)
-    if float(far.max()) > scatter:
-        name, mm = names[int(far.argmax())], 1e3 * float(far.max())
-        raise SafetyError(f"{name} moved by {mm:.1f} mm while the arm was to hang at rest")
-    axes = base_rotation.to(P)
-    abscissae = P @ axes[:, 2]
-    if not bool((torch.diff(abscissae, prepend=abscissae.new_zeros(1)) > 0).all()):
-        raise SafetyError(f"the bodies {', '.join(names)} hang at {abscissae.tolist()} m, not in order along the arm")
-    offset = (R.mT @ (abscissae.unsqueeze(-1) * axes[:, 2] - P).unsqueeze(-1)).squeeze(-1)
-    wide = max(float(rotation_angle(R[k], poses[:, k, :3, :3]).max()) for k in range(len(names)))
-    base = torch.zeros(3, dtype=P.dtype)
-    return Calibration(tuple(names), base, axes, R.mT @ axes, offset, abscissae, len(T), float(far.max()), wide)

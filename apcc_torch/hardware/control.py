@@ -14,7 +14,7 @@ from apcc_torch.control.step_io import Command, ControllerState, Measurement, Ta
 from apcc_torch.control.trajectory import Trajectory
 from apcc_torch.errors import ConfigError
 from apcc_torch.hardware.interfaces import Array
-from apcc_torch.hardware.sensing import Seen
+from apcc_torch.hardware.sensing import GatedFrame
 
 Step = Callable[[ControllerState, Measurement, Target], tuple[ControllerState, Command]]
 """One control step: the controller itself, or a compiled form of it."""
@@ -30,8 +30,8 @@ def blank_step(controller: APCCController, pi_hat: Tensor) -> tuple[ControllerSt
     q, zero = torch.zeros(controller.backbone.n, dtype=pi_hat.dtype), torch.zeros(3, dtype=pi_hat.dtype)
     time = torch.zeros((), dtype=torch.float64)
     k = controller.feedback.abscissae.shape[-1]
-    seen = torch.ones(k, dtype=torch.bool)
-    measurement = Measurement(torch.eye(4, dtype=pi_hat.dtype).expand(k, 4, 4), time, seen, seen)
+    every = torch.ones(k, dtype=torch.bool)
+    measurement = Measurement(torch.eye(4, dtype=pi_hat.dtype).expand(k, 4, 4), time, every, every)
     return controller.initial_state(q, pi_hat, time), measurement, Target(zero, zero)
 
 
@@ -96,21 +96,21 @@ class Control:
     def _initial(self, q: Tensor, pi_hat: Tensor, time: float) -> ControllerState:
         return self.controller.initial_state(q, pi_hat, torch.tensor(time, dtype=torch.float64))
 
-    def _measurement(self, seen: Seen, time: float) -> Measurement:
+    def _measurement(self, frame: GatedFrame, time: float) -> Measurement:
         return Measurement(
-            torch.from_numpy(seen.T).to(self.pi_hat.dtype),
+            torch.from_numpy(frame.T).to(self.pi_hat.dtype),
             torch.tensor(time, dtype=torch.float64),
-            torch.from_numpy(seen.position_ok),
-            torch.from_numpy(seen.orientation_ok),
+            torch.from_numpy(frame.position_ok),
+            torch.from_numpy(frame.orientation_ok),
         )
 
-    def warm_up(self, seen: Seen, steps: int, period: float, now: Callable[[], float]) -> list[float]:
+    def warm_up(self, frame: GatedFrame, steps: int, period: float, now: Callable[[], float]) -> list[float]:
         """Steps on one frame with the end effector as its own target: nothing is asked of the arm.
 
         It also brings q_bar from the straight arm to the measured one.
 
         Args:
-            seen: A complete frame.
+            frame: A complete frame.
             steps: How many.
             period: Time that the stamps pretend to pass between two steps, s.
             now: The clock.
@@ -122,7 +122,7 @@ class Control:
         took = []
         for k in range(steps):
             began = now()
-            measurement = self._measurement(seen, (k + 1) * period)
+            measurement = self._measurement(frame, (k + 1) * period)
             target = Target(measurement.T[-1, :3, 3], still)
             self.state, _ = self.step(self.state, measurement, target)
             took.append(now() - began)
@@ -143,18 +143,18 @@ class Control:
         q, pi_hat = (torch.from_numpy(v).to(self.pi_hat.dtype) for v in (start.q, start.pi_hat))
         self.state = self._initial(q, pi_hat, start.time)
 
-    def decide(self, seen: Seen, time: float, target: Target | None = None) -> Decision:
+    def decide(self, frame: GatedFrame, time: float, target: Target | None = None) -> Decision:
         """One step.
 
         Args:
-            seen: A usable frame.
+            frame: A usable frame.
             time: Its stamp, s since the start.
             target: Where to go; None for the trajectory's.
 
         Raises:
             ApccError: The controller refuses its input.
         """
-        measurement = self._measurement(seen, time)
+        measurement = self._measurement(frame, time)
         if target is None:
             target = self.trajectory(measurement.time.to(self.pi_hat.dtype))
         self.state, command = self.step(self.state, measurement, target)

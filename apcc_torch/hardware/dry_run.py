@@ -26,9 +26,9 @@ class DryRunActuator(TendonActuator):
         """As the device."""
         return self.actuator.calibrate()
 
-    def restore(self, found: Mapping[str, object]) -> None:
+    def restore(self, zero: Mapping[str, object]) -> None:
         """As the device."""
-        self.actuator.restore(found)
+        self.actuator.restore(zero)
 
     def arm(self) -> None:
         """Nothing: the motors stay without torque."""

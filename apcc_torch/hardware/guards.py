@@ -4,62 +4,51 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
-from apcc_torch.errors import ValueRangeError
 from apcc_torch.hardware.control import Decision
 from apcc_torch.hardware.interfaces import TendonReading
-from apcc_torch.hardware.limits import CommandLimits
-from apcc_torch.hardware.stops import Ending, Stop, StopReason, endings
+from apcc_torch.hardware.limits import CommandLimits, CommandLimitSettings
+from apcc_torch.hardware.sensing import SensingSettings
+from apcc_torch.hardware.stops import Ending, Stop, StopReason
+from apcc_torch.settings import OURS, PAPER, Settings, check_choice, setting
 
 
-@dataclass(frozen=True)
-class GuardSettings:
-    """Limits of a run. None switches a guard off.
+@dataclass(frozen=True, kw_only=True)
+class GuardSettings(Settings):
+    """What ends a run; null switches a guard off. Times suit a simulated arm on a busy machine."""
 
-    duration: s, the longest run.
-    arrival_error, arrival_dwell: m and s: a run ends well once the error has stayed below for the dwell.
-    max_error: m, position error that counts as divergence.
-    effort_limit, effort_dwell: N and s: above the limit for longer than the dwell.
-    effort_cap: N, above it at once.
-    slack_effort, slack_dwell: N and s: below it for longer than the dwell.
-    range_margin: m by which a measured length may leave the commands' range.
-    overruns, overrun_window: More than so many missed deadlines within the window, s.
-    failed_exchanges: So many readings, or so many commands, in a row.
-    endings: What each reason leads to.
+    limits: CommandLimitSettings = setting(factory=CommandLimitSettings, meaning="clamps of every command")
+    sensing: SensingSettings = setting(factory=SensingSettings, meaning="frames and bodies to believe")
+    arrival_error: float | None = setting(1e-3, "m", PAPER, "a set-point is reached", above=0)
+    arrival_dwell: float = setting(0.5, "s", OURS, "that the error has to stay below", least=0)
+    max_error: float | None = setting(1.0, "m", OURS, "position error that counts as divergence", above=0)
+    effort_limit: float | None = setting(120.0, "N", OURS, "tension", above=0)
+    effort_dwell: float = setting(0.3, "s", OURS, "above the limit", least=0)
+    effort_cap: float | None = setting(250.0, "N", OURS, "tension, above it at once", above=0)
+    slack_effort: float | None = setting(
+        None, "N", OURS, "below it a tendon is slack; simulated tendons push as well, unless plant.slack is set"
+    )
+    slack_dwell: float = setting(0.5, "s", OURS, "below it", least=0)
+    range_margin: float = setting(5e-3, "m", OURS, "by which a measured length may leave the commands' range", least=0)
+    overruns: int = setting(100, "", OURS, "so many missed deadlines within the window are allowed", least=0)
+    overrun_window: float = setting(1.0, "s", OURS, "of the missed deadlines", above=0)
+    failed_exchanges: int = setting(5, "", OURS, "so many failed readings, or commands, in a row end the run", least=1)
+    endings: Mapping[str, str] = setting(
+        factory=dict, meaning="reason: hold or torque_off, where it is not the table's; see --help"
+    )
 
-    Raises:
-        ValueRangeError: A limit is not positive.
-    """
+    def check(self) -> None:
+        """Raises ConfigError where no reason or no ending is named."""
+        for name, ending in self.endings.items():
+            check_choice("endings", name, [reason.value for reason in StopReason])
+            check_choice(f"endings.{name}", ending, [each.value for each in Ending])
 
-    duration: float
-    arrival_error: float | None = 1e-3
-    arrival_dwell: float = 0.5
-    max_error: float | None = 1.0
-    effort_limit: float | None = None
-    effort_dwell: float = 0.3
-    effort_cap: float | None = None
-    slack_effort: float | None = None
-    slack_dwell: float = 0.5
-    range_margin: float = 5e-3
-    overruns: int = 10
-    overrun_window: float = 1.0
-    failed_exchanges: int = 5
-    endings: Mapping[StopReason, Ending] = field(default_factory=endings)
-
-    def __post_init__(self) -> None:
-        """Checks the limits."""
-        for name in ("duration", "arrival_error", "max_error", "effort_limit", "effort_cap", "overrun_window"):
-            value = getattr(self, name)
-            if value is not None and not value > 0:
-                raise ValueRangeError(f"guards.{name} must be positive, got {value}")
-        for name in ("arrival_dwell", "effort_dwell", "slack_dwell", "range_margin", "overruns"):
-            if not getattr(self, name) >= 0:
-                raise ValueRangeError(f"guards.{name} must be zero or positive, got {getattr(self, name)}")
-        if self.failed_exchanges < 1:
-            raise ValueRangeError(f"guards.failed_exchanges must be at least 1, got {self.failed_exchanges}")
+    def ending(self, reason: StopReason) -> Ending:
+        """What a reason leads to."""
+        return Ending(self.endings.get(reason.value, reason.ending.value))
 
 
 class Dwell:

@@ -62,9 +62,9 @@ def _watch(setup: Setup, journal: Journal, guards: Guards, loop: Loop, deadline:
         halt_if(guards.on_failed_read(error))
     tick.read = setup.clock.now() - now
     journal.tick(tick)
-    found = None if tick.reading is None else guards.on_reading(tick.reading, now)
-    if found is not None and setup.guards.endings[found.reason] is Ending.TORQUE_OFF:
-        raise Halt(found)
+    stop = None if tick.reading is None else guards.on_reading(tick.reading, now)
+    if stop is not None and setup.guards.ending(stop.reason) is Ending.TORQUE_OFF:
+        raise Halt(stop)
 
 
 def let_go(setup: Setup, journal: Journal) -> bool:

@@ -1,5 +1,8 @@
 """What the runner needs of motors and of a motion-capture system: SI units, monotonic stamps, one vocabulary.
 
+A driver is a class of its own: `hardware.actuator.kind` and `hardware.sensor.kind` name it, and `settings_type` is the
+class of its settings. It may import its maker's library where it stands; `check_library` says what is missing.
+
 Tendon length changes follow y = B^T q: negative where a tendon is pulled in, zero at the calibrated zero of the hanging
 arm. Stamps are `time.monotonic()` seconds.
 """
@@ -9,17 +12,40 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
+from importlib.util import find_spec
 from types import TracebackType
-from typing import Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
+from apcc_torch.errors import ConfigError
+from apcc_torch.hardware.world import World
+from apcc_torch.part import Configurable
+
 Array = NDArray[np.float64]
 
 
-class Device(ABC):
-    """Something to connect to; `with` connects, and disconnects on every exit."""
+class Device(Configurable, ABC):
+    """Something to connect to; `with` connects, and disconnects on every exit.
+
+    Attributes:
+        lasting: Settings that a calibration depends on: with others it does not hold.
+    """
+
+    lasting: ClassVar[tuple[str, ...]] = ()
+
+    @classmethod
+    def in_world(cls, settings: Any, world: World) -> Self:
+        """The device of these settings, not yet connected.
+
+        Args:
+            settings: Of this class.
+            world: What it shares with the run's other device; one that is real needs nothing of it.
+        """
+        kind: Any = cls
+        device: Self = kind(settings)
+        return device
 
     @abstractmethod
     def connect(self) -> None:
@@ -60,9 +86,14 @@ class TendonActuator(Device):
 
     The order is connect, calibrate or restore, arm, then read and send; `hold` and `torque_off` end it. Every method
     raises a `HardwareError` subclass that says what is wrong and with which motor.
+
+    Attributes:
+        n_tendons: Number of tendons n_a.
+        needs_calibration: Whether a run has to name a calibration.
     """
 
     n_tendons: int
+    needs_calibration: ClassVar[bool] = True
 
     @abstractmethod
     def connect(self) -> None:
@@ -70,10 +101,10 @@ class TendonActuator(Device):
 
     @abstractmethod
     def calibrate(self) -> dict[str, object]:
-        """Takes the present lengths as zero; returns what was found, as plain values for a file."""
+        """Takes the present lengths as zero; returns what `restore` needs, as plain values for a file."""
 
     @abstractmethod
-    def restore(self, found: Mapping[str, object]) -> None:
+    def restore(self, zero: Mapping[str, object]) -> None:
         """Takes up what `calibrate` returned, also in an earlier process; refuses what is not of this device."""
 
     @abstractmethod
@@ -117,7 +148,11 @@ class PoseSample:
 
 
 class PoseSensor(Device):
-    """A source of poses that keeps only its latest sample. `with` connects and disconnects."""
+    """A source of poses that keeps only its latest sample. `with` connects and disconnects.
+
+    Attributes:
+        n_bodies: Number of bodies k.
+    """
 
     n_bodies: int
 
@@ -134,6 +169,11 @@ class PoseSensor(Device):
         """The first sample newer than frame `after`, or None after `timeout` s."""
 
     @property
+    def names(self) -> tuple[str, ...]:
+        """The bodies, from the base to the tip."""
+        return tuple(f"sensor_{k + 1}" for k in range(self.n_bodies))
+
+    @property
     def base(self) -> Array | None:
         """The arm's base frame in the source's own world, m, (4, 4); None where the source does not tell."""
         return None
@@ -141,3 +181,9 @@ class PoseSensor(Device):
     @abstractmethod
     def disconnect(self) -> None:
         """Closes the source. Safe to call in any state."""
+
+
+def check_library(library: str, driver: str, extra: str = "hardware") -> None:
+    """Raises ConfigError, which says how to install it, where a driver's library is missing."""
+    if find_spec(library) is None:
+        raise ConfigError(f"{driver} needs {library}: pip install 'apcc-torch[{extra}]'")

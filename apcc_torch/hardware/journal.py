@@ -57,5 +57,5 @@ class Journal:
     def failure(self) -> Stop | None:
         """A stop if an observer has failed."""
         failures = (observer.failure() for observer in self.observers)
-        found = next((failure for failure in failures if failure is not None), None)
-        return None if found is None else Stop(StopReason.LOG_FAILED, found)
+        first = next((failure for failure in failures if failure is not None), None)
+        return None if first is None else Stop(StopReason.LOG_FAILED, first)

@@ -3,22 +3,40 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from apcc_torch.errors import SafetyError, ValueRangeError
 from apcc_torch.hardware.interfaces import Array
+from apcc_torch.settings import OURS, Settings, names, resolved, setting
+from apcc_torch.spread import Numbers, spread
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
+class CommandLimitSettings(Settings):
+    """Clamps of every command: a number, or one a tendon. Length changes are negative where a tendon is pulled in."""
+
+    lower: Numbers = setting(-0.25, "m", OURS, "least length change")
+    upper: Numbers = setting(0.25, "m", OURS, "largest length change")
+    rate: Numbers = setting(0.25, "m/s", OURS, "largest speed of a command", above=0)
+    step: Numbers = setting(0.01, "m", OURS, "between two commands, whatever time has passed", above=0)
+
+
 class CommandLimits:
-    """Clamps of tendon length changes y, each (n_a,).
+    """Clamps of tendon length changes y.
 
-    lower, upper: m, range of each tendon.
-    rate: m/s, largest speed of a command.
-    step: m, largest change between two commands, whatever time has passed between them.
+    Args:
+        n_tendons: Number of tendons n_a.
+        given, changes: Settings.
+
+    Attributes:
+        lower, upper: (n_a,) m, range of each tendon.
+        rate: (n_a,) m/s, largest speed of a command.
+        step: (n_a,) m, largest change between two commands, whatever time has passed between them.
 
     Raises:
+        ConfigError: There is neither one number nor one a tendon.
         ValueRangeError: A limit is not finite, a range is empty, or a rate or step is not positive.
     """
 
@@ -27,15 +45,12 @@ class CommandLimits:
     rate: Array
     step: Array
 
-    def __post_init__(self) -> None:
-        """Checks the limits."""
-        for name in ("lower", "upper", "rate", "step"):
-            if not np.isfinite(getattr(self, name)).all() or getattr(self, name).shape != self.lower.shape:
-                raise ValueRangeError(f"{name} must hold one finite number a tendon, got {getattr(self, name)}")
-        if not (self.lower < self.upper).all():
+    def __init__(self, n_tendons: int, *given: Any, **changes: Any) -> None:
+        settings = resolved(CommandLimitSettings, given, changes)
+        for name in names(CommandLimitSettings):
+            setattr(self, name, spread(name, getattr(settings, name), n_tendons).numpy())
+        if not (np.isfinite(self.lower) & np.isfinite(self.upper) & (self.lower < self.upper)).all():
             raise ValueRangeError(f"lower must be below upper for every tendon, got {self.lower} and {self.upper}")
-        if not ((self.rate > 0).all() and (self.step > 0).all()):
-            raise ValueRangeError(f"rate and step must be positive, got {self.rate} and {self.step}")
 
     def inside(self, y: Array, margin: float = 0.0) -> bool:
         """Whether lengths (n_a,) m are in their range, widened by `margin` m."""

@@ -154,10 +154,10 @@ class RunLog:
 
     def _tick(self, t: Tick) -> None:
         number = (t.now, t.index % 2**32)
-        seen, decision, reading = t.seen, t.decision, t.reading
-        if seen is not None:
-            masks = seen.position_ok, seen.orientation_ok, seen.position_reason, seen.orientation_reason
-            values = (seen.stamp - self.zero, seen.sequence, seen.age, seen.usable, seen.T)
+        frame, decision, reading = t.frame, t.decision, t.reading
+        if frame is not None:
+            masks = frame.position_ok, frame.orientation_ok, frame.position_reason, frame.orientation_reason
+            values = (frame.stamp - self.zero, frame.sequence, frame.age, frame.usable, frame.T)
             self._add(self.layouts.measurement, *number, t.index, *values, *masks)
         if decision is not None:
             d = decision

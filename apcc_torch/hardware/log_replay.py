@@ -11,7 +11,7 @@ from apcc_torch.control.step_io import Target
 from apcc_torch.hardware.control import Control, Start
 from apcc_torch.hardware.interfaces import Array
 from apcc_torch.hardware.log_reader import RobotLog
-from apcc_torch.hardware.sensing import Seen
+from apcc_torch.hardware.sensing import GatedFrame
 
 
 class Replayed(NamedTuple):
@@ -47,15 +47,15 @@ def replay(log: RobotLog, control: Control) -> Replayed:
     replayed = []
     with torch.inference_mode():
         for step, target in zip(steps, targets, strict=False):
-            seen = _seen(frames[int(step["tick"])])
+            frame = _frame(frames[int(step["tick"])])
             x_d, xdot_d = (torch.from_numpy(target[name].copy()).to(control.pi_hat.dtype) for name in ("x_d", "xdot_d"))
-            replayed.append(control.decide(seen, float(step["time"]), Target(x_d, xdot_d)).y)
+            replayed.append(control.decide(frame, float(step["time"]), Target(x_d, xdot_d)).y)
     count = len(replayed)
     return Replayed(steps["time"][:count], steps["y"][:count], np.array(replayed))
 
 
-def _seen(row: np.void) -> Seen:
-    return Seen(
+def _frame(row: np.void) -> GatedFrame:
+    return GatedFrame(
         float(row["time"]),
         int(row["sequence"]),
         float(row["age"]),

@@ -71,8 +71,8 @@ class Loop:
         try:
             halt_if(self.setup.request.stop)
             halt_if(self.journal.failure())
-            if tick.time >= self.setup.guards.duration:
-                raise Halt(Stop(StopReason.DURATION, f"{self.setup.guards.duration:g} s are over"))
+            if tick.time >= self.setup.duration:
+                raise Halt(Stop(StopReason.DURATION, f"{self.setup.duration:g} s are over"))
             self._read(tick)
             self._sense(tick)
             self._decide(tick)
@@ -100,19 +100,19 @@ class Loop:
             sample = self.setup.sensor.latest()
         except HardwareError as error:
             raise Halt(Stop(StopReason.SENSOR_LOST, str(error))) from error
-        tick.seen = self.setup.sensing.look(sample, clock.now())
+        tick.frame = self.setup.sensing.look(sample, clock.now())
         tick.sense = clock.now() - began
         halt_if(self.setup.sensing.missing(clock.now()))
 
     def _decide(self, tick: Tick) -> None:
         """Steps the controller where there is a new frame to step on; elsewhere its last wish stands."""
-        seen = tick.seen
-        if seen is None or not seen.usable:
+        frame = tick.frame
+        if frame is None or not frame.usable:
             return
         clock = self.setup.clock
         began = clock.now()
         try:
-            tick.decision = self.setup.control.decide(seen, seen.stamp - self.started_at)
+            tick.decision = self.setup.control.decide(frame, frame.stamp - self.started_at)
         except ApccError as error:
             raise Halt(Stop(StopReason.CONTROLLER_ERROR, str(error))) from error
         tick.control = clock.now() - began
@@ -138,5 +138,5 @@ class Loop:
             halt_if(self.guards.on_failed_send(error))
         ended = clock.now()
         tick.send = ended - began
-        if tick.fresh and tick.decision is not None and tick.seen is not None:
-            tick.latency = ended - tick.seen.stamp
+        if tick.fresh and tick.decision is not None and tick.frame is not None:
+            tick.latency = ended - tick.frame.stamp

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from apcc_torch.errors import ShapeError
-from apcc_torch.estimation.rest_calibration import Calibration
+from apcc_torch.estimation.rest_calibration import RestCalibration
 from apcc_torch.hardware.interfaces import Array
 
 
@@ -35,7 +35,7 @@ class Mounts:
             raise ShapeError(f"mounts must be (k, 3, 3) and (k, 3), got {self.rotation.shape} and {self.offset.shape}")
 
     @staticmethod
-    def of(calibration: Calibration) -> Mounts:
+    def of(calibration: RestCalibration) -> Mounts:
         """The mounts of a calibration from the hanging pose, whose offsets are in the bodies' axes."""
         rotation = calibration.mount_rotation.numpy()
         offset = (calibration.mount_rotation.mT @ calibration.mount_offset.unsqueeze(-1)).squeeze(-1)

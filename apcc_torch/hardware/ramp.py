@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import torch
@@ -11,29 +12,45 @@ from torch import Tensor
 from apcc_torch.control.controller import APCCController
 from apcc_torch.control.step_io import Target
 from apcc_torch.control.trajectory import SetPoint
-from apcc_torch.errors import ValueRangeError
+from apcc_torch.errors import ConfigError, ValueRangeError
 from apcc_torch.hardware.control import Control, Decision, Step
 from apcc_torch.hardware.interfaces import Array
-from apcc_torch.hardware.sensing import Seen
-from apcc_torch.settings import check_setting
+from apcc_torch.hardware.sensing import GatedFrame
+from apcc_torch.settings import OURS, PAPER, Settings, resolved, setting
+from apcc_torch.spread import spread
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
+class RampSettings(Settings):
+    """Where the tendons go in an experiment of kind tendons: from zero to the goal, and on there."""
+
+    goal: tuple[float, ...] | None = setting(None, "m", PAPER, "one length change a tendon")
+    duration: float = setting(10.0, "s", OURS, "from zero to the goal", above=0)
+    estimate: tuple[float, ...] | None = setting(
+        None, "m", PAPER, "pi_hat of the decoupled estimators; null: none", above=0
+    )
+
+
 class Ramp:
-    """Length changes that go from zero to `goal` (n_a,), m, in `duration`, s, and stay there.
+    """Length changes that go from zero to their goal, and stay there.
+
+    Args:
+        n_tendons: Number of tendons n_a.
+        given, changes: Settings.
 
     Raises:
-        ValueRangeError: A number is out of range.
+        ConfigError: There is no goal, or it has not one entry a tendon.
+        ValueRangeError: A number is not finite.
     """
 
-    goal: Array
-    duration: float
-
-    def __post_init__(self) -> None:
-        """Checks the numbers."""
+    def __init__(self, n_tendons: int, *given: Any, **changes: Any) -> None:
+        settings = resolved(RampSettings, given, changes)
+        if settings.goal is None:
+            raise ConfigError("goal must be given for an experiment of kind tendons")
+        self.goal: Array = spread("goal", settings.goal, n_tendons).numpy()
+        self.duration = settings.duration
         if not np.isfinite(self.goal).all():
-            raise ValueRangeError(f"ramp.goal must be finite, got {self.goal.tolist()}")
-        check_setting("ramp.duration", self.duration)
+            raise ValueRangeError(f"goal must be finite, got {self.goal.tolist()}")
 
     def at(self, time: float) -> Array:
         """(n_a,) m at `time`, s."""
@@ -54,9 +71,9 @@ class RampControl(Control):
         super().__init__(controller, SetPoint(torch.zeros(3, dtype=pi_hat.dtype)), pi_hat, step)
         self.ramp = ramp
 
-    def decide(self, seen: Seen, time: float, target: Target | None = None) -> Decision:
+    def decide(self, frame: GatedFrame, time: float, target: Target | None = None) -> Decision:
         """One step: the ramp's lengths, and what the controller infers."""
         if target is None:
-            tip = torch.tensor(seen.T[-1, :3, 3], dtype=self.pi_hat.dtype)
+            tip = torch.tensor(frame.T[-1, :3, 3], dtype=self.pi_hat.dtype)
             target = Target(tip, torch.zeros_like(tip))
-        return replace(super().decide(seen, time, target), y=self.ramp.at(time))
+        return replace(super().decide(frame, time, target), y=self.ramp.at(time))

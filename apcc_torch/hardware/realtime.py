@@ -59,7 +59,7 @@ def _set_priority(priority: int) -> None:
         os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(priority))
     except (OSError, ValueError) as error:
         raise HardwareError(
-            f"realtime.priority={priority} was refused ({error}); allow it with a line `@realtime - rtprio 99` in "
+            f"loop.priority={priority} was refused ({error}); allow it with a line `@realtime - rtprio 99` in "
             "/etc/security/limits.d, or set it to null"
         ) from error
 
@@ -69,6 +69,6 @@ def _lock_memory() -> None:
     if libc.mlockall(MCL_CURRENT | MCL_FUTURE) != 0:
         reason = os.strerror(ctypes.get_errno())
         raise HardwareError(
-            f"realtime.lock_memory was refused ({reason}); allow it with a line `@realtime - memlock unlimited` in "
+            f"loop.lock_memory was refused ({reason}); allow it with a line `@realtime - memlock unlimited` in "
             "/etc/security/limits.d, or set it to false"
         )

@@ -7,7 +7,7 @@ from typing import Protocol
 
 from apcc_torch.hardware.control import Decision, Start
 from apcc_torch.hardware.interfaces import Array, TendonReading
-from apcc_torch.hardware.sensing import Seen
+from apcc_torch.hardware.sensing import GatedFrame
 from apcc_torch.hardware.states import State
 from apcc_torch.hardware.stops import Ending, StopReason
 
@@ -17,7 +17,7 @@ class Tick:
     """One turn of the loop, filled in as it goes.
 
     index: Number on the grid of deadlines. now: s, when the turn began. time: s since the start.
-    deadline: s. lateness: s. reading: Of the tendons; None if it failed. seen: A new frame, if there was one.
+    deadline: s. lateness: s. reading: Of the tendons; None if it failed. frame: A new frame, if there was one.
     decision: The controller's, if it stepped. requested, sent: (n_a,) m, the last lengths wanted, and really sent.
     fresh: Whether `sent` was sent in this turn. read, sense, control, send: s, what each stage took.
     latency: s from the frame's stamp to the end of sending. overruns, failed: So far, missed deadlines and failed
@@ -34,7 +34,7 @@ class Tick:
     sent: Array
     fresh: bool = False
     reading: TendonReading | None = None
-    seen: Seen | None = None
+    frame: GatedFrame | None = None
     decision: Decision | None = None
     read: float = 0.0
     sense: float = 0.0

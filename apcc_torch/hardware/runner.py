@@ -85,7 +85,7 @@ class Runner:
                 self.journal.to(State.FAULT, stop.message, stop.reason)
             return stop, None
         ending, broken = Ending.TORQUE_OFF, None
-        if self.loop is not None and self.setup.guards.endings[stop.reason] is Ending.HOLD:
+        if self.loop is not None and self.setup.guards.ending(stop.reason) is Ending.HOLD:
             ending, broken = Ending.HOLD, hold(self.setup, self.journal, self.guards, self.loop, stop)
         if broken is not None:
             self.journal.event("hold_ended", broken.message, broken.reason)

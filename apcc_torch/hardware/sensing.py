@@ -3,62 +3,52 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from apcc_torch.errors import ValueRangeError
-from apcc_torch.estimation.sensor_gate import SensorGate
+from apcc_torch.estimation.sensor_gate import SensorGate, SensorGateSettings
 from apcc_torch.hardware.interfaces import Array, PoseSample
 from apcc_torch.hardware.mounts import Mounts
 from apcc_torch.hardware.stops import Stop, StopReason
-from apcc_torch.settings import check_setting
+from apcc_torch.settings import OURS, Settings, setting
 
-PARTIAL = ("skip", "mask")
+GATE = partial(SensorGateSettings, max_speed=2.0, max_angular_rate=16.0, max_bend=3.0)
+"""Of an arm under control, which moves faster and bends more than recorded ones."""
 
 
-@dataclass(frozen=True)
-class SensingLimits:
-    """Limits of the frames' times.
+@dataclass(frozen=True, kw_only=True)
+class SensingSettings(Settings):
+    """Frames and bodies to believe."""
 
-    max_age: s, an older frame is not used.
-    stale: s without an accepted position of any body before the run stops.
-    dropout: s without an accepted position of one body before the run stops.
-    frozen_frames: So many frames in a row with the very same poses count as a frozen source, and are not used; None:
-        never.
-    partial: What happens to a frame that lacks a body: "skip", the last wish stands until a whole frame comes, or
-        "mask", the controller steps on the bodies that are there. Where pi_hat has moved a section's end past a
-        sensor, what is left says next to nothing of one section, and a masked step can be far off.
-
-    Raises:
-        ValueRangeError: A limit is not positive.
-    """
-
-    max_age: float = 0.06
-    stale: float = 0.2
-    dropout: float = 0.3
-    frozen_frames: int | None = 10
-    partial: str = "skip"
-
-    def __post_init__(self) -> None:
-        """Checks the limits."""
-        for name in ("max_age", "stale", "dropout"):
-            check_setting(f"sensing.{name}", getattr(self, name))
-        if self.frozen_frames is not None and self.frozen_frames < 2:
-            raise ValueRangeError(f"sensing.frozen_frames must be at least 2, got {self.frozen_frames}")
-        if self.partial not in PARTIAL:
-            raise ValueRangeError(f"sensing.partial must be one of {', '.join(PARTIAL)}, got {self.partial!r}")
+    max_age: float = setting(0.25, "s", OURS, "older frames are not used", above=0)
+    stale: float = setting(1.0, "s", OURS, "without an accepted position of any body before the run stops", above=0)
+    dropout: float = setting(1.0, "s", OURS, "without an accepted position of one body before the run stops", above=0)
+    frozen_frames: int | None = setting(
+        10, "", OURS, "so many equal frames in a row are a frozen source, and not used; null: never", least=2
+    )
+    # Where pi_hat has moved a section's end past a sensor, what is left says next to nothing of one section, and a
+    # masked step can be far off.
+    partial: str = setting(
+        "skip",
+        "",
+        OURS,
+        "a frame that lacks a body: skip waits for a whole one, mask steps on the others",
+        choices=("skip", "mask"),
+    )
+    gate: SensorGateSettings = setting(factory=GATE, meaning="which bodies to believe")
 
 
 @dataclass(frozen=True)
-class Seen:
+class GatedFrame:
     """A new frame after the gate.
 
     stamp: s, when it was measured. sequence: The source's number. age: s, when it was looked at.
     T: (k, 4, 4) poses, finite always: a body's last accepted pose where this frame's was not accepted.
-    position_ok, orientation_ok: (k,) what to believe. position_reason, orientation_reason: (k,) `gating.Reason`.
+    position_ok, orientation_ok: (k,) what to believe. position_reason, orientation_reason: (k,) `Reason` codes.
     usable: Whether the controller may step on it: it is in time, moving, and has the positions it needs.
     """
 
@@ -82,34 +72,34 @@ class Sensing:
     """Judges every frame once, and remembers since when what has been missing.
 
     Args:
-        gate: Judges bodies.
+        abscissae: (k,) where the bodies sit on the arm, m.
         base_rotation: (3, 3) orientation of the arm's base in the frame of the poses; the gate judges in the base.
-        limits: Limits of the frames' times.
+        settings: Limits of frames and bodies.
         mounts: How the bodies sit on the arm; None where the source's poses are the model's frames already.
     """
 
     def __init__(
-        self, gate: SensorGate, base_rotation: Tensor, limits: SensingLimits, mounts: Mounts | None = None
+        self, abscissae: Tensor, base_rotation: Tensor, settings: SensingSettings, mounts: Mounts | None = None
     ) -> None:
-        self.gate = gate
-        self.limits = limits
+        self.gate = SensorGate(abscissae, settings.gate)
+        self.settings = settings
         self.mounts = mounts
         # NumPy around the gate: on so few numbers a tensor's every operation costs more than the numbers.
         self.to_base = np.eye(4)
         self.to_base[:3, :3] = base_rotation.detach().double().numpy().T
-        like = torch.zeros(gate.sensors, 4, 4, dtype=torch.float64)
-        self.state = gate.initial_state(like, torch.zeros((), dtype=torch.float64))
+        like = torch.zeros(self.gate.sensors, 4, 4, dtype=torch.float64)
+        self.state = self.gate.initial_state(like, torch.zeros((), dtype=torch.float64))
         self.last: PoseSample | None = None
         self.repeats = 0
         self.since_usable = 0.0
-        self.since_position = np.zeros(gate.sensors)
+        self.since_position = np.zeros(self.gate.sensors)
 
     def begin(self, now: float) -> None:
         """What is missing is counted from now, s."""
         self.since_usable = now
         self.since_position = np.full(self.gate.sensors, now)
 
-    def look(self, sample: PoseSample | None, now: float) -> Seen | None:
+    def look(self, sample: PoseSample | None, now: float) -> GatedFrame | None:
         """The sample after the gate, or None if it is no new frame.
 
         Args:
@@ -123,10 +113,10 @@ class Sensing:
         same = last is not None and sample.T.tobytes() == last.T.tobytes() and bool(sample.valid.any())
         self.repeats = self.repeats + 1 if same else 0
         age = now - sample.stamp
-        frozen = self.limits.frozen_frames is not None and self.repeats + 1 >= self.limits.frozen_frames
+        frozen = self.settings.frozen_frames is not None and self.repeats + 1 >= self.settings.frozen_frames
         forward = last is None or sample.stamp > last.stamp
         # A stamp from the future is as wrong as one from long ago.
-        timely = forward and not frozen and -self.limits.max_age <= age <= self.limits.max_age
+        timely = forward and not frozen and -self.settings.max_age <= age <= self.settings.max_age
         poses = sample.T if self.mounts is None else self.mounts.turned(sample.T)
         # Copies: a source's arrays may be read-only, which tensors cannot be.
         tracked = torch.tensor(sample.valid & timely)
@@ -137,7 +127,7 @@ class Sensing:
         if position_ok.any():
             self.since_usable = sample.stamp
         self.since_position = np.where(position_ok, sample.stamp, self.since_position)
-        return Seen(
+        return GatedFrame(
             sample.stamp,
             sample.sequence,
             age,
@@ -146,7 +136,7 @@ class Sensing:
             verdict.orientation_ok.numpy(),
             verdict.position_reason.numpy(),
             verdict.orientation_reason.numpy(),
-            bool(position_ok.any() if self.limits.partial == "mask" else position_ok.all()),
+            bool(position_ok.any() if self.settings.partial == "mask" else position_ok.all()),
         )
 
     def _held(self) -> Array:
@@ -160,10 +150,10 @@ class Sensing:
     def missing(self, now: float) -> Stop | None:
         """A stop if all bodies, or one, have been missing for too long at `now`, s."""
         without = now - self.since_usable
-        if without > self.limits.stale:
+        if without > self.settings.stale:
             return Stop(StopReason.SENSOR_STALE, f"no usable frame for {without:.3f} s")
         gone = now - self.since_position
         body = int(gone.argmax())
-        if gone[body] > self.limits.dropout:
+        if gone[body] > self.settings.dropout:
             return Stop(StopReason.SENSOR_DROPOUT, f"body {body + 1} not usable for {gone[body]:.3f} s")
         return None

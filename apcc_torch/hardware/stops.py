@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from enum import Enum
 from typing import NamedTuple
-
-from apcc_torch.errors import ValueRangeError
 
 
 class Ending(Enum):
@@ -66,26 +63,6 @@ class Stop(NamedTuple):
 
     reason: StopReason
     message: str
-
-
-def endings(changes: Mapping[str, str] | None = None) -> dict[StopReason, Ending]:
-    """What each reason leads to.
-
-    Args:
-        changes: Reason to "hold" or "torque_off", where it is not the table's.
-
-    Raises:
-        ValueRangeError: No such reason or ending.
-    """
-    table = {reason: reason.ending for reason in StopReason}
-    named = {reason.value: reason for reason in StopReason}
-    for name, ending in (changes or {}).items():
-        if name not in named:
-            raise ValueRangeError(f"endings must name reasons of a stop, got {name!r}")
-        if ending not in {e.value for e in Ending}:
-            raise ValueRangeError(f"endings.{name} must be hold or torque_off, got {ending!r}")
-        table[named[name]] = Ending(ending)
-    return table
 
 
 def exit_code_table() -> str:

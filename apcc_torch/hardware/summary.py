@@ -32,8 +32,8 @@ class Summary:
         self.times["lateness"].append(tick.lateness)
         for name in ("read", "sense", "send"):
             self.times[name].append(getattr(tick, name))
-        if tick.seen is not None:
-            self.incomplete += not tick.seen.complete
+        if tick.frame is not None:
+            self.incomplete += not tick.frame.complete
         if tick.reading is not None:
             self.effort = max(self.effort, float(tick.reading.effort.max()))
         if tick.fresh and tick.decision is not None:

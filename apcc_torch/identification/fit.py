@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import torch
@@ -13,9 +14,18 @@ from torch.func import jacfwd
 from apcc_torch.errors import DataError
 from apcc_torch.identification.parameters import Parameters, Values
 from apcc_torch.identification.tendon_arm import Drive, TendonArm
+from apcc_torch.settings import OURS, Settings, setting
 
 _ROBUST = 3.0
 """Residuals beyond so many times their size are weighed down (Huber)."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class FitSettings(Settings):
+    """How parameters are fitted."""
+
+    steps: int = setting(25, "", OURS, "most steps a round", least=1)
+    rounds: int = setting(3, "", OURS, "how often the size of the residuals is estimated", least=1)
 
 
 class Fit(NamedTuple):
@@ -64,9 +74,8 @@ def fit(
     parameters: Parameters,
     drive: Drive,
     positions: Tensor,
+    settings: FitSettings | None = None,
     z: Tensor | None = None,
-    steps: int = 40,
-    rounds: int = 3,
     progress: Callable[[str], None] | None = None,
 ) -> Fit:
     """Fits an arm's parameters to measured positions.
@@ -79,22 +88,22 @@ def fit(
         parameters: What to fit.
         drive: What drove the arm at N moments, in the order of time.
         positions: (N, k, 3) where its bodies were, m.
+        settings: See `FitSettings`; None: the defaults.
         z: (P,) where to begin; None: nominal values.
-        steps: Most steps a round.
-        rounds: How often the residuals' size is estimated.
         progress: Called with one line a round.
 
     Raises:
         DataError: The model has no equilibrium where it begins.
     """
+    settings = settings or FitSettings()
     z = parameters.nominal() if z is None else z
     problem = _Problem(arm, parameters, drive, positions)
     residual, _ = problem.residual(z)
     if not bool(residual.isfinite().all()):
         raise DataError("the model finds no equilibrium at its first parameters; check tendons and stiffness")
     noise, correlation, taken = _size(residual), correlation_length(residual.flatten(1)), 0
-    for k in range(rounds):
-        z, count = _descend(problem, z, noise * math.sqrt(correlation), steps)
+    for k in range(settings.rounds):
+        z, count = _descend(problem, z, noise * math.sqrt(correlation), settings.steps)
         residual, _ = problem.residual(z)
         noise, correlation, taken = _size(residual), correlation_length(residual.flatten(1)), taken + count
         if progress is not None:

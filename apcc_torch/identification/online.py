@@ -2,16 +2,28 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import Any
+
 import torch
 from torch import Tensor
 from torch.func import jacfwd
 
 from apcc_torch.identification.parameters import Parameters
 from apcc_torch.identification.tendon_arm import Drive, TendonArm
+from apcc_torch.settings import OURS, Settings, resolved, setting
+
+
+@dataclass(frozen=True, kw_only=True)
+class OnlineSettings(Settings):
+    """How parameters are adapted from sample to sample."""
+
+    noise: float = setting(0.01, "m", OURS, "deviation of a coordinate that the model cannot explain", above=0)
+    walk: float = setting(0.03, "", OURS, "by how much of its spread each parameter wanders a sample", least=0)
 
 
 def adapt(
-    arm: TendonArm, parameters: Parameters, drive: Drive, positions: Tensor, noise: float, walk: float
+    arm: TendonArm, parameters: Parameters, drive: Drive, positions: Tensor, *given: Any, **changes: Any
 ) -> tuple[Tensor, Tensor]:
     """An extended Kalman filter over the parameters' standard scores, from the nominal values on.
 
@@ -20,12 +32,13 @@ def adapt(
         parameters: What to adapt.
         drive: At N moments, in the order of time.
         positions: (N, k, 3) measured, m.
-        noise: Standard deviation of a coordinate that the model cannot explain, m.
-        walk: Standard deviation by which every score wanders from sample to sample.
+        *given, **changes: See `OnlineSettings`.
 
     Returns:
         Predictions (N, k, 3) m, each made before its sample was used, and the scores (N, P) after it.
     """
+    settings = resolved(OnlineSettings, given, changes)
+    noise, walk = settings.noise, settings.walk
     z = parameters.nominal()
     eye = torch.eye(len(z), dtype=z.dtype)
     covariance = eye

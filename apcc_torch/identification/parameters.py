@@ -49,7 +49,7 @@ class Parameters:
 
     Raises:
         ConfigError: A block's nominal values, spreads and labels differ in number.
-        ValueRangeError: A spread is negative, or a logarithmic nominal value is not positive.
+        ValueRangeError: A spread is negative, or a fitted logarithmic nominal value is not positive.
     """
 
     def __init__(self, blocks: Mapping[str, Block]) -> None:
@@ -64,7 +64,8 @@ class Parameters:
             if bool((block.spread < 0).any()):
                 raise ValueRangeError(f"spread of {name} must not be negative")
             if block.logarithmic:
-                check_positive(name, block.nominal)
+                # What is held may be zero, such as a friction that is left out.
+                check_positive(name, block.nominal[block.spread > 0])
         self.blocks = dict(blocks)
         self._free = {name: (block.spread > 0).nonzero()[:, 0] for name, block in self.blocks.items()}
 

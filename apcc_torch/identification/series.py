@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -12,7 +12,36 @@ from torch import Tensor
 from apcc_torch.errors import ConfigError, DataError
 from apcc_torch.identification.tendon_arm import Drive
 from apcc_torch.recordings.csv_table import read_table
-from apcc_torch.recordings.recording import Recording
+from apcc_torch.recordings.recording import LAYOUTS, Recording, detect_layout, load_recording
+from apcc_torch.settings import OURS, Settings, resolved, setting
+
+
+@dataclass(frozen=True, kw_only=True)
+class RecordingSettings(Settings):
+    """How a recording is read."""
+
+    inputs: tuple[str, ...] = setting((), "", OURS, "columns of what drives the arm, in any unit")
+    bodies: tuple[tuple[str, ...], ...] = setting(
+        (), "", OURS, "columns x, y, z of each body, from the base to the tip"
+    )
+    unit: float = setting(1.0, "m", OURS, "unit of the positions", above=0)
+    time: str | None = setting(None, "", OURS, "column of the time in s; null: samples come at `rate`")
+    rate: float = setting(100.0, "Hz", OURS, "samples a second, where the recording does not say", above=0)
+    group: str | None = setting(None, "", OURS, "column of words that tells movements apart; null: there is none")
+    group_ending: str = setting("", "", OURS, "what may end such a word without changing its meaning")
+    layout: str = setting(
+        "auto",
+        "",
+        OURS,
+        "table: the columns named here; columns or trunk: docs/recordings.md; auto: table where `inputs` names columns",
+        choices=("auto", "table", *LAYOUTS),
+    )
+
+    def check(self) -> None:
+        """Raises ConfigError where a body has not three columns."""
+        for columns in self.bodies:
+            if len(columns) != 3 or isinstance(columns, str):
+                raise ConfigError(f"bodies must name three columns a body, got {columns!r}")
 
 
 @dataclass(frozen=True)
@@ -58,44 +87,51 @@ class Series:
         return Drive(self.inputs[index], self.times.unsqueeze(-1) - self.times[index], self.slides(travel))
 
 
-def read_series(
-    path: str | Path,
-    inputs: Sequence[str],
-    bodies: Sequence[Sequence[str]],
-    unit: float = 1.0,
-    time: str | None = None,
-    rate: float = 100.0,
-    group: str | None = None,
-    group_ending: str = "",
-) -> Series:
-    """Reads a CSV file with a header line; columns that are not named are ignored if they hold numbers.
+def read_series(path: str | Path, *given: Any, **changes: Any) -> Series:
+    """Reads a recording.
 
     Args:
-        path: The file, or a folder that holds it as recording.csv.
-        inputs: Columns of the inputs.
-        bodies: Three columns, x, y and z, for every body, from the base to the tip.
-        unit: Of the positions, m.
-        time: Column of the time, s; None: samples come at `rate`.
-        rate: Hz.
-        group: Column of words that tells movements apart; None: there is none.
-        group_ending: What may end a word without changing its meaning.
+        path: The file, or a folder that holds it.
+        *given, **changes: See `RecordingSettings`.
 
     Raises:
-        ConfigError: A body has not three columns.
+        ConfigError: A setting has no meaning.
         DataError: The file cannot be read, lacks a column or holds something else than a number, or time goes backward.
     """
-    for columns in bodies:
-        if len(columns) != 3:
-            raise ConfigError(f"recording.bodies must name three columns a body, got {list(columns)}")
+    settings = resolved(RecordingSettings, given, changes)
+    layout = settings.layout
+    if layout == "auto":
+        layout = "table" if settings.inputs else detect_layout(path)
+    if layout == "table":
+        return _read_table(path, settings)
+    try:
+        return series_of(load_recording(path, layout=layout, rate=settings.rate))
+    except DataError as error:
+        hint = (
+            ""
+            if settings.layout != "auto"
+            else "; recording.inputs and recording.bodies name the columns of other files"
+        )
+        raise DataError(f"{error}{hint}") from error
+
+
+def _read_table(path: str | Path, settings: RecordingSettings) -> Series:
+    """Of a CSV file with a header line; columns that are not named are ignored if they hold numbers."""
+    for name in ("inputs", "bodies"):
+        if not getattr(settings, name):
+            raise ConfigError(f"recording.{name} must name columns of {path}")
+    group, time = settings.group, settings.time
     file = Path(path)
     table = read_table(file / "recording.csv" if file.is_dir() else file, [] if group is None else [group])
-    values = table.finite(inputs)
-    positions = torch.stack([table.finite(columns) for columns in bodies], dim=1) * unit
-    times = torch.arange(len(values), dtype=values.dtype) / rate if time is None else table.finite([time])[:, 0]
+    values = table.finite(settings.inputs)
+    positions = torch.stack([table.finite(columns) for columns in settings.bodies], dim=1) * settings.unit
+    times = (
+        torch.arange(len(values), dtype=values.dtype) / settings.rate if time is None else table.finite([time])[:, 0]
+    )
     backward = (times.diff() < 0).nonzero()
     if time is not None and len(backward):
         raise table.fault("the time goes backward", time, int(backward[0]) + 1)
-    words = [""] * len(values) if group is None else [w.removesuffix(group_ending) for w in table.words[group]]
+    words = [""] * len(values) if group is None else [w.removesuffix(settings.group_ending) for w in table.words[group]]
     numbers = {word: i for i, word in enumerate(dict.fromkeys(words))}
     groups = torch.tensor([numbers[word] for word in words])
     return Series(times - times[0], values, positions, groups, str(path))

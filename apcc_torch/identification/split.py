@@ -2,12 +2,34 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
 
 from apcc_torch.errors import ConfigError, DataError
+from apcc_torch.settings import OURS, Settings, resolved, setting
+
+
+@dataclass(frozen=True, kw_only=True)
+class SplitSettings(Settings):
+    """Which part of a recording is held back for validation."""
+
+    by: str = setting(
+        "blocks",
+        "",
+        OURS,
+        "groups: whole movements; blocks: stretches of equal length, the last for a prediction of what comes later",
+        choices=("groups", "blocks"),
+    )
+    folds: int = setting(5, "", OURS, "parts that the recording is cut into", least=2)
+    fold: int = setting(4, "", OURS, "the part that is held back, from 0", least=0)
+
+    def check(self) -> None:
+        """Raises ConfigError where there is no such part."""
+        if self.fold >= self.folds:
+            raise ConfigError(f"fold must be from 0 to folds - 1, got {self.fold} of {self.folds}")
 
 
 class Split(NamedTuple):
@@ -17,24 +39,18 @@ class Split(NamedTuple):
     validation: Tensor
 
 
-def split(groups: Tensor, by: str, folds: int, fold: int) -> Split:
-    """Holds one of `folds` parts back for validation.
+def split(groups: Tensor, *given: Any, **changes: Any) -> Split:
+    """Holds one part back for validation.
 
     Args:
         groups: (N,) int64 number of each sample's movement.
-        by: "groups": every folds-th movement, whole, is held back; "blocks": the recording is cut into `folds`
-            stretches of equal length and one is held back, the last for a prediction of what comes later.
-        folds: Number of parts.
-        fold: Which is held back, from 0.
+        *given, **changes: See `SplitSettings`. With groups every folds-th movement is held back.
 
     Raises:
-        ConfigError: A setting has no meaning.
         DataError: The recording has too few movements or samples.
     """
-    if by not in ("groups", "blocks"):
-        raise ConfigError(f"split.by must be groups or blocks, got {by!r}")
-    if folds < 2 or not 0 <= fold < folds:
-        raise ConfigError(f"split.fold must be from 0 to split.folds - 1, and folds at least 2, got {fold} of {folds}")
+    settings = resolved(SplitSettings, given, changes)
+    by, folds, fold = settings.by, settings.folds, settings.fold
     N = len(groups)
     part = groups % folds if by == "groups" else torch.arange(N) * folds // N
     training, validation = ((part != fold).nonzero()[:, 0], (part == fold).nonzero()[:, 0])

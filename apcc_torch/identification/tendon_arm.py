@@ -2,26 +2,26 @@
 
 The equilibrium is K (q - q_rest) + B T(q) = G(q), with the tension of a tendon T = k max(stretch, 0) and its stretch
 the sum of what the actuator pulled, the stretch at the start (pre-tension) and y = B^T q. Capstan friction takes its
-share of T on the way from the motor, by the direction in which the tendon last moved. A time constant lets the arm
-follow its equilibrium with a lag, which is what damping D = time constant times K does to a slow arm.
+share of T on the way from the motor, by the direction in which the tendon last moved. Inputs act with a lag, the
+damping ratio, as damping D = damping_ratio K makes a slow arm follow its equilibrium.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
-from apcc_torch.errors import ConfigError
 from apcc_torch.identification.parameters import Values
 from apcc_torch.lie import so3
+from apcc_torch.model.abscissae import decouple
 from apcc_torch.model.arc import arc_geometry
+from apcc_torch.model.arm import Arm
 from apcc_torch.model.backbone import PCCBackbone
 from apcc_torch.model.friction import tension_share
 from apcc_torch.model.tendons import full_rows
+from apcc_torch.spread import spread
 
 _CORNER = 1e-5
 """Width of the rounding where a tendon goes slack, m: a tenth of what is read off a servo."""
@@ -33,45 +33,6 @@ _SETTLED = 1e-18
 """At rest where the unbalanced force would store less than this share of the arm's elastic energy..."""
 _LEAST = 1e-6
 """...or of this energy, J, where the arm is straight."""
-
-
-@dataclass(frozen=True)
-class Layout:
-    """What is known of an arm for certain.
-
-    Attributes:
-        n_sections: Number of sections n_b.
-        inputs: The input that drives each tendon, from 0, n_a of them.
-        pulls: Tendon length pulled in per unit of its input before any scale is fitted, m, n_a of them; negative
-            where a growing input pays out.
-        ends: The section at whose tip each tendon ends, from 1, n_a of them.
-        bodies: The section at whose tip each measured body sits, from 1, k of them.
-        masses: Mass of each section, kg, n_b of them.
-    """
-
-    n_sections: int
-    inputs: tuple[int, ...]
-    pulls: tuple[float, ...]
-    ends: tuple[int, ...]
-    bodies: tuple[int, ...]
-    masses: tuple[float, ...]
-
-    def __post_init__(self) -> None:
-        n_a = len(self.inputs)
-        if not len(self.pulls) == len(self.ends) == n_a:
-            raise ConfigError(
-                f"tendons: {n_a} inputs, {len(self.pulls)} pulls and {len(self.ends)} ends differ in number"
-            )
-        if len(self.masses) != self.n_sections:
-            raise ConfigError(f"masses must have {self.n_sections} entries, got {len(self.masses)}")
-        for name, sections in (("ends", self.ends), ("bodies", self.bodies)):
-            if not all(1 <= s <= self.n_sections for s in sections):
-                raise ConfigError(f"{name} must be sections from 1 to {self.n_sections}, got {list(sections)}")
-
-    @property
-    def n_inputs(self) -> int:
-        """Number of inputs."""
-        return max(self.inputs) + 1
 
 
 class Drive(NamedTuple):
@@ -92,25 +53,30 @@ class Drive(NamedTuple):
 
 
 class TendonArm:
-    """Predicts the bodies of an arm; `values` are those of the blocks that `blocks` names.
+    """Predicts the bodies of an arm; `values` are those of the blocks that `arm_parameters` names.
+
+    Of the arm's description it takes what no block holds: the sections' masses, which input drives which tendon, and
+    where in the sections tendons end and sensors sit.
 
     Args:
-        layout: The arm.
+        arm: The arm.
         kinematic: Take the bends from the tendons' lengths alone, by the pseudo-inverse of B^T, as a PCC model does
             that knows no forces: tendons then push as well as pull.
-        dtype: Of the tensors.
     """
 
-    def __init__(self, layout: Layout, kinematic: bool = False, dtype: torch.dtype = torch.float64) -> None:
-        self.layout = layout
+    def __init__(self, arm: Arm, kinematic: bool = False) -> None:
         self.kinematic = kinematic
-        n_b = layout.n_sections
-        self.backbone = PCCBackbone(n_b, torch.eye(3, dtype=dtype))
-        self.fractions = torch.tensor([[float(s < end) for end in layout.ends] for s in range(n_b)], dtype=dtype)
-        self.pulls = torch.tensor(layout.pulls, dtype=dtype)
-        self.masses = torch.tensor(layout.masses, dtype=dtype)
+        lengths = arm.rest_lengths()
+        self.backbone = PCCBackbone(arm.n_sections, torch.eye(3, dtype=lengths.dtype))
+        self.fractions = _whole(arm.routing().fractions(lengths))
+        self.inputs = list(arm.actuation.driving(arm.n_tendons))
+        self.pulls = spread("pulls", arm.actuation.pulls, arm.n_tendons)
+        self.masses = arm.section_masses()
+        X_tilde, self.section = decouple(arm.sensor_places(), lengths)
+        self.X_tilde = _whole(X_tilde)
+        self.at_tips = bool((self.X_tilde == 1.0).all())
         points, weights = zip(*_NODES, strict=True)
-        self._nodes, self._weights = torch.tensor(points, dtype=dtype), torch.tensor(weights, dtype=dtype)
+        self._nodes, self._weights = (torch.tensor(numbers, dtype=lengths.dtype) for numbers in (points, weights))
 
     def matrix(self, values: Values) -> Tensor:
         """B (3 n_b, n_a)."""
@@ -119,17 +85,20 @@ class TendonArm:
 
     def pulled(self, drive: Drive, values: Values) -> Tensor:
         """Length by which each tendon is pulled in at its motor (N, n_a), m, with the stretch it started with."""
-        edges = torch.exp(-drive.ages / values["time_constant"])
+        if drive.ages.shape[-1] == 1:
+            return self._pulled(drive.history[:, 0], values)
+        edges = torch.exp(-drive.ages / values["damping_ratio"])
         # What an input read that long ago still weighs in a first-order lag; the oldest takes all before it.
         weights = edges - torch.nn.functional.pad(edges[:, 1:], (0, 1))
-        inputs = (weights.unsqueeze(-1) * drive.history).sum(-2)
-        index = list(self.layout.inputs)
-        return inputs[:, index] * self.pulls * values["input_scale"][index] + values["pre_stretch"]
+        return self._pulled((weights.unsqueeze(-1) * drive.history).sum(-2), values)
+
+    def _pulled(self, inputs: Tensor, values: Values) -> Tensor:
+        return inputs[:, self.inputs] * self.pulls * values["input_scale"][self.inputs] + values["pre_stretch"]
 
     def stiffness(self, values: Values) -> Tensor:
         """Diagonal of K (3 n_b,): N m/rad and N/m, of sections in series with a material's EI and EA."""
-        bending = values["bending_stiffness"] / values["rest_length"]
-        axial = values["axial_stiffness"] / values["rest_length"]
+        bending = values["bending_rigidity"] / values["rest_length"]
+        axial = values["axial_rigidity"] / values["rest_length"]
         return torch.stack((bending, bending, axial), dim=-1).flatten()
 
     def balance(self, q: Tensor, pulled: Tensor, slide: Tensor, values: Values) -> Tensor:
@@ -171,7 +140,7 @@ class TendonArm:
 
     def slide(self, drive: Drive) -> Tensor:
         """Direction in which each tendon last moved (N, n_a): +1 pulled in, -1 paid out."""
-        return drive.slide[:, list(self.layout.inputs)] * torch.sign(self.pulls)
+        return drive.slide[:, self.inputs] * torch.sign(self.pulls)
 
     def slope(self, q: Tensor, pulled: Tensor, slide: Tensor, values: Values) -> Tensor:
         """Derivative (N, n, n) of `balance` by q, from central differences; carries no gradient.
@@ -254,11 +223,16 @@ class TendonArm:
 
     def bodies(self, q: Tensor, values: Values) -> Tensor:
         """Positions (N, k, 3) of the bodies of an arm in the configuration q (N, 3 n_b), m, recording frame."""
-        chain = self.backbone.chain(q, values["rest_length"])
-        turns = torch.cat((chain.before[:, 1:], chain.rotation.unsqueeze(-3)), dim=-3)
-        index = [s - 1 for s in self.layout.bodies]
+        lengths = values["rest_length"]
         mounts = values["mount"].unflatten(-1, (-1, 3)).unsqueeze(-1)
-        local = chain.ends[:, index] + (turns[:, index] @ mounts).squeeze(-1)
+        if self.at_tips:
+            chain = self.backbone.chain(q, lengths)
+            turns = torch.cat((chain.before[:, 1:], chain.rotation.unsqueeze(-3)), dim=-3)
+            places, turns = chain.ends[:, self.section], turns[:, self.section]
+        else:
+            poses = self.backbone.pose(q, lengths, self.X_tilde, self.section)
+            places, turns = poses[..., :3, 3], poses[..., :3, :3]
+        local = places + (turns @ mounts).squeeze(-1)
         return local @ so3.exp(values["base_rotation"]).mT + values["base_position"]
 
     def predict(self, drive: Drive, values: Values) -> Tensor:
@@ -271,25 +245,7 @@ def _energy(force: Tensor, K: Tensor) -> Tensor:
     return (force * force / K).sum(-1)
 
 
-def block_sizes(layout: Layout) -> dict[str, tuple[str, bool, Sequence[str]]]:
-    """Unit, whether logarithmic, and labels of every block that a `TendonArm` needs."""
-    sections = [f"section {s + 1}" for s in range(layout.n_sections)]
-    tendons = [f"tendon {t + 1}" for t in range(len(layout.inputs))]
-    axes = ["x", "y", "z"]
-    return {
-        "rest_length": ("m", True, sections),
-        "angle": ("rad", False, tendons),
-        "offset": ("m", True, tendons),
-        "input_scale": ("", True, [f"input {i + 1}" for i in range(layout.n_inputs)]),
-        "pre_stretch": ("m", False, tendons),
-        "tendon_stiffness": ("N/m", True, tendons),
-        "bending_stiffness": ("N m^2", True, sections),
-        "axial_stiffness": ("N", True, sections),
-        "rest_bend": ("rad", False, [f"{s} {axis}" for s in sections for axis in axes[:2]]),
-        "friction": ("", True, ["coefficient"]),
-        "time_constant": ("s", True, ["arm"]),
-        "gravity": ("m/s^2", False, axes),
-        "base_position": ("m", False, axes),
-        "base_rotation": ("rad", False, axes),
-        "mount": ("m", False, [f"body {b + 1} {axis}" for b in range(len(layout.bodies)) for axis in axes]),
-    }
+def _whole(share: Tensor) -> Tensor:
+    """Shares of sections, those that only rounding keeps from all or nothing made exact."""
+    near = share.round()
+    return torch.where((share - near).abs() < 1e-9, near, share)

@@ -3,5 +3,12 @@
 from __future__ import annotations
 
 from apcc_torch.lie import se3, so3
+from apcc_torch.lie.rotations import chordal_mean, quaternion_rotation, rotation_angle
 
-__all__ = ["se3", "so3"]
+__all__ = [
+    "chordal_mean",
+    "quaternion_rotation",
+    "rotation_angle",
+    "se3",
+    "so3",
+]

@@ -7,6 +7,7 @@ import math
 import torch
 from torch import Tensor
 
+from apcc_torch.modes import full_precision
 from apcc_torch.shapes import check_tensor
 
 _OUTLIER = 3.0
@@ -20,6 +21,12 @@ def quaternion_rotation(quaternion: Tensor) -> Tensor:
 
     Args:
         quaternion: (..., 4).
+
+    Example:
+        >>> quaternion_rotation(torch.tensor([0.0, 0.0, 1.0, 0.0]))
+        tensor([[-1.,  0.,  0.],
+                [ 0., -1.,  0.],
+                [ 0.,  0.,  1.]])
     """
     x, y, z, w = check_tensor("quaternion", quaternion, (4,)).unbind(-1)
     xx, yy, zz, ww = x * x, y * y, z * z, w * w
@@ -32,15 +39,26 @@ def quaternion_rotation(quaternion: Tensor) -> Tensor:
 
 
 def rotation_angle(a: Tensor, b: Tensor) -> Tensor:
-    """The angle in rad between rotations (..., 3, 3); from the chord, so that small angles keep their digits."""
+    """The angle in rad between rotations (..., 3, 3); from the chord, so that small angles keep their digits.
+
+    Example:
+        >>> rotation_angle(torch.eye(3), so3.exp(torch.tensor([0.0, 0.3, 0.0])))
+        tensor(0.3000)
+    """
     chord = torch.linalg.matrix_norm(a - b) / math.sqrt(8.0)
     return 2 * torch.asin(chord.clamp(max=1.0))
 
 
+@full_precision
 def chordal_mean(rotations: Tensor) -> Tensor:
     """The rotation (3, 3) nearest to the sum of rotations (N, 3, 3), a robust mean after one trimming.
 
     Frames whose angle from the first mean is above three times the median angle are left out of the second.
+
+    Example:
+        >>> about_z = so3.exp(torch.tensor([[0.0, 0.0, 0.1], [0.0, 0.0, 0.2], [0.0, 0.0, 0.3]]))
+        >>> rotation_angle(chordal_mean(about_z), torch.eye(3))
+        tensor(0.2000)
     """
 
     def nearest(total: Tensor) -> Tensor:

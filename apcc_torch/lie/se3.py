@@ -16,7 +16,22 @@ from torch.nn.functional import pad
 
 from apcc_torch.lie import so3
 from apcc_torch.lie.stumpff import stumpff
+from apcc_torch.modes import full_precision
 from apcc_torch.shapes import batch_shape, check_tensor
+
+__all__ = [
+    "adjoint",
+    "exp",
+    "hat",
+    "inverse",
+    "left_jacobian",
+    "left_jacobian_inverse",
+    "log",
+    "pose",
+    "right_jacobian",
+    "right_jacobian_inverse",
+    "vee",
+]
 
 
 def hat(twist: Tensor) -> Tensor:
@@ -27,6 +42,13 @@ def hat(twist: Tensor) -> Tensor:
 
     Raises:
         ShapeError: twist does not end in 6.
+
+    Example:
+        >>> se3.hat(torch.tensor([0.0, 0.0, 1.0, 2.0, 3.0, 4.0]))
+        tensor([[ 0., -1.,  0.,  2.],
+                [ 1.,  0., -0.,  3.],
+                [-0.,  0.,  0.,  4.],
+                [ 0.,  0.,  0.,  0.]])
     """
     w, v = check_tensor("twist", twist, (6,)).split(3, dim=-1)
     return pad(torch.cat((so3.hat(w), v.unsqueeze(-1)), dim=-1), (0, 0, 0, 1))
@@ -40,6 +62,10 @@ def vee(matrix: Tensor) -> Tensor:
 
     Raises:
         ShapeError: matrix does not end in (4, 4).
+
+    Example:
+        >>> se3.vee(se3.hat(torch.tensor([0.0, 0.0, 1.0, 2.0, 3.0, 4.0])))
+        tensor([0., 0., 1., 2., 3., 4.])
     """
     rotation, position = _parts(check_tensor("matrix", matrix, (4, 4)))
     return torch.cat((so3.vee(rotation), position), dim=-1)
@@ -54,6 +80,13 @@ def pose(rotation: Tensor, position: Tensor) -> Tensor:
 
     Raises:
         ShapeError: A trailing dimension is wrong, or the leading dimensions do not broadcast.
+
+    Example:
+        >>> se3.pose(torch.eye(3), torch.tensor([0.1, 0.2, 0.3]))
+        tensor([[1.0000, 0.0000, 0.0000, 0.1000],
+                [0.0000, 1.0000, 0.0000, 0.2000],
+                [0.0000, 0.0000, 1.0000, 0.3000],
+                [0.0000, 0.0000, 0.0000, 1.0000]])
     """
     check_tensor("rotation", rotation, (3, 3))
     check_tensor("position", position, (3,))
@@ -78,6 +111,10 @@ def exp(twist: Tensor) -> Tensor:
 
     Raises:
         ShapeError: twist does not end in 6.
+
+    Example:
+        >>> se3.exp(torch.tensor([0.0, 0.0, pi / 2, 1.0, 0.0, 0.0]))[:3, 3]
+        tensor([0.6366, 0.6366, 0.0000])
     """
     w, v = check_tensor("twist", twist, (6,)).split(3, dim=-1)
     c = stumpff(so3.squared_angle(w))
@@ -98,6 +135,10 @@ def log(transform: Tensor) -> Tensor:
 
     Raises:
         ShapeError: transform does not end in (4, 4).
+
+    Example:
+        >>> se3.log(se3.exp(torch.tensor([0.1, 0.2, 0.3, 1.0, 2.0, 3.0])))
+        tensor([0.1000, 0.2000, 0.3000, 1.0000, 2.0000, 3.0000])
     """
     rotation, position = _parts(check_tensor("transform", transform, (4, 4)))
     return log_from_half(*so3.half_log(rotation), position)
@@ -154,11 +195,17 @@ def inverse(transform: Tensor) -> Tensor:
 
     Raises:
         ShapeError: transform does not end in (4, 4).
+
+    Example:
+        >>> T = se3.exp(torch.tensor([0.1, 0.2, 0.3, 1.0, 2.0, 3.0]))
+        >>> torch.allclose(se3.inverse(T) @ T, torch.eye(4), atol=1e-6)
+        True
     """
     rotation, position = _parts(check_tensor("transform", transform, (4, 4)))
     return pose(rotation.mT, -(rotation * position.unsqueeze(-1)).sum(-2))
 
 
+@full_precision
 def adjoint(transform: Tensor) -> Tensor:
     """Ad_T (..., 6, 6) = [[R, 0], [hat(p) R, R]]: T exp(xi) T^-1 = exp(Ad_T xi).
 
@@ -167,6 +214,11 @@ def adjoint(transform: Tensor) -> Tensor:
 
     Raises:
         ShapeError: transform does not end in (4, 4).
+
+    Example:
+        >>> T = se3.pose(torch.eye(3), torch.tensor([0.5, 0.0, 0.0]))
+        >>> se3.adjoint(T) @ torch.tensor([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
+        tensor([ 0.0000,  0.0000,  1.0000,  0.0000, -0.5000,  0.0000])
     """
     rotation, position = _parts(check_tensor("transform", transform, (4, 4)))
     return _block_triangular(rotation, so3.hat(position) @ rotation)
@@ -185,6 +237,11 @@ def left_jacobian(twist: Tensor) -> Tensor:
 
     Raises:
         ShapeError: twist does not end in 6.
+
+    Example:
+        >>> x, dx = 0.3 * torch.ones(6).double(), 1e-6 * torch.arange(6.0).double()
+        >>> torch.allclose(se3.exp(x + dx), se3.exp(se3.left_jacobian(x) @ dx) @ se3.exp(x), rtol=0.0, atol=1e-10)
+        True
     """
     w, v = check_tensor("twist", twist, (6,)).split(3, dim=-1)
     c = stumpff(so3.squared_angle(w))
@@ -198,10 +255,17 @@ def left_jacobian(twist: Tensor) -> Tensor:
 
 
 def right_jacobian(twist: Tensor) -> Tensor:
-    """J_r(xi) = J_l(-xi) (..., 6, 6): the body velocity is J_r(xi) xidot; see `left_jacobian`."""
+    """J_r(xi) = J_l(-xi) (..., 6, 6): the body velocity is J_r(xi) xidot; see `left_jacobian`.
+
+    Example:
+        >>> x, dx = 0.3 * torch.ones(6).double(), 1e-6 * torch.arange(6.0).double()
+        >>> torch.allclose(se3.exp(x + dx), se3.exp(x) @ se3.exp(se3.right_jacobian(x) @ dx), rtol=0.0, atol=1e-10)
+        True
+    """
     return left_jacobian(-twist)
 
 
+@full_precision
 def left_jacobian_inverse(twist: Tensor) -> Tensor:
     """The inverse (..., 6, 6) of `left_jacobian`, for angles below 2 pi.
 
@@ -210,6 +274,11 @@ def left_jacobian_inverse(twist: Tensor) -> Tensor:
 
     Raises:
         ShapeError: twist does not end in 6.
+
+    Example:
+        >>> x = torch.tensor([0.1, 0.2, 0.3, 1.0, 2.0, 3.0])
+        >>> torch.allclose(se3.left_jacobian_inverse(x) @ se3.left_jacobian(x), torch.eye(6), atol=1e-6)
+        True
     """
     jacobian = left_jacobian(twist)
     inverse_block = so3.left_jacobian_inverse(twist[..., :3])
@@ -217,5 +286,11 @@ def left_jacobian_inverse(twist: Tensor) -> Tensor:
 
 
 def right_jacobian_inverse(twist: Tensor) -> Tensor:
-    """The inverse (..., 6, 6) of `right_jacobian`, for angles below 2 pi; see `left_jacobian_inverse`."""
+    """The inverse (..., 6, 6) of `right_jacobian`, for angles below 2 pi; see `left_jacobian_inverse`.
+
+    Example:
+        >>> x = torch.tensor([0.1, 0.2, 0.3, 1.0, 2.0, 3.0])
+        >>> torch.allclose(se3.right_jacobian_inverse(x) @ se3.right_jacobian(x), torch.eye(6), atol=1e-6)
+        True
+    """
     return left_jacobian_inverse(-twist)

@@ -17,8 +17,20 @@ from math import pi
 import torch
 from torch import Tensor
 
-from apcc_torch.lie.stumpff import known, stumpff
+from apcc_torch.lie.stumpff import stumpff
+from apcc_torch.modes import known
 from apcc_torch.shapes import check_tensor
+
+__all__ = [
+    "exp",
+    "hat",
+    "left_jacobian",
+    "left_jacobian_inverse",
+    "log",
+    "right_jacobian",
+    "right_jacobian_inverse",
+    "vee",
+]
 
 # `log` uses its power series where |v|^2 = (4 sin(D / 2) cos(D / 2))^2 is below this, D < 0.045 rad: four terms leave
 # less than 1e-17 of the angle there. Above, atan2 is used; its second derivatives have lost a digit by then, not more.
@@ -33,6 +45,12 @@ def hat(w: Tensor) -> Tensor:
 
     Raises:
         ShapeError: w does not end in 3.
+
+    Example:
+        >>> so3.hat(torch.tensor([1.0, 2.0, 3.0]))
+        tensor([[ 0., -3.,  2.],
+                [ 3.,  0., -1.],
+                [-2.,  1.,  0.]])
     """
     x, y, z = check_tensor("w", w, (3,)).unbind(-1)
     o = torch.zeros_like(x)
@@ -47,6 +65,10 @@ def vee(matrix: Tensor) -> Tensor:
 
     Raises:
         ShapeError: matrix does not end in (3, 3).
+
+    Example:
+        >>> so3.vee(so3.hat(torch.tensor([1.0, 2.0, 3.0])))
+        tensor([1., 2., 3.])
     """
     return 0.5 * _twice_vee(check_tensor("matrix", matrix, (3, 3)))
 
@@ -85,6 +107,10 @@ def exp(w: Tensor) -> Tensor:
 
     Raises:
         ShapeError: w does not end in 3.
+
+    Example:
+        >>> so3.exp(torch.tensor([0.0, 0.0, 0.5])) @ torch.tensor([1.0, 1.0, 1.0])
+        tensor([0.3982, 1.3570, 1.0000])
     """
     c = stumpff(squared_angle(check_tensor("w", w, (3,))))
     return symmetric_plus_cross(w, c.c0, c.c1, c.c2)
@@ -101,6 +127,10 @@ def log(rotation: Tensor) -> Tensor:
 
     Raises:
         ShapeError: rotation does not end in (3, 3).
+
+    Example:
+        >>> so3.log(so3.exp(torch.tensor([0.1, 0.2, 0.3])))
+        tensor([0.1000, 0.2000, 0.3000])
     """
     return 2.0 * half_log(check_tensor("rotation", rotation, (3, 3)))[0]
 
@@ -190,13 +220,24 @@ def left_jacobian(w: Tensor) -> Tensor:
 
     Raises:
         ShapeError: w does not end in 3.
+
+    Example:
+        >>> w, dw = torch.tensor([0.3, -0.2, 0.5]).double(), 1e-6 * torch.tensor([1.0, 2.0, -1.0]).double()
+        >>> torch.allclose(so3.exp(w + dw), so3.exp(so3.left_jacobian(w) @ dw) @ so3.exp(w), rtol=0.0, atol=1e-11)
+        True
     """
     c = stumpff(squared_angle(check_tensor("w", w, (3,))))
     return symmetric_plus_cross(w, c.c1, c.c2, c.c3)
 
 
 def right_jacobian(w: Tensor) -> Tensor:
-    """J_r(w) = J_l(-w) (..., 3, 3): the angular velocity in the body's axes is J_r(w) wdot; see `left_jacobian`."""
+    """J_r(w) = J_l(-w) (..., 3, 3): the angular velocity in the body's axes is J_r(w) wdot; see `left_jacobian`.
+
+    Example:
+        >>> w, dw = torch.tensor([0.3, -0.2, 0.5]).double(), 1e-6 * torch.tensor([1.0, 2.0, -1.0]).double()
+        >>> torch.allclose(so3.exp(w + dw), so3.exp(w) @ so3.exp(so3.right_jacobian(w) @ dw), rtol=0.0, atol=1e-11)
+        True
+    """
     return left_jacobian(-w)
 
 
@@ -208,6 +249,11 @@ def left_jacobian_inverse(w: Tensor) -> Tensor:
 
     Raises:
         ShapeError: w does not end in 3.
+
+    Example:
+        >>> w = torch.tensor([0.3, -0.2, 0.5])
+        >>> torch.allclose(so3.left_jacobian_inverse(w) @ so3.left_jacobian(w), torch.eye(3), atol=1e-6)
+        True
     """
     squared = squared_angle(check_tensor("w", w, (3,)))
     e = inverse_coefficient(squared)
@@ -215,5 +261,11 @@ def left_jacobian_inverse(w: Tensor) -> Tensor:
 
 
 def right_jacobian_inverse(w: Tensor) -> Tensor:
-    """The inverse (..., 3, 3) of `right_jacobian`, for angles below 2 pi; see `left_jacobian_inverse`."""
+    """The inverse (..., 3, 3) of `right_jacobian`, for angles below 2 pi; see `left_jacobian_inverse`.
+
+    Example:
+        >>> w = torch.tensor([0.3, -0.2, 0.5])
+        >>> torch.allclose(so3.right_jacobian_inverse(w) @ so3.right_jacobian(w), torch.eye(3), atol=1e-6)
+        True
+    """
     return left_jacobian_inverse(-w)

@@ -13,6 +13,8 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from apcc_torch.modes import known
+
 # Below this x the power series is used, above it the closed form. At x = 4 (two radians) the series' terms are still
 # small enough for full precision, and the closed form's subtractions lose less than two digits up to c_6.
 _SERIES_BELOW = 4.0
@@ -38,20 +40,6 @@ def _series(m: int, x: Tensor, one: Tensor) -> Tensor:
     for k in range(m + 2 * _TERMS - 1, m, -2):
         value = torch.addcmul(one, x, value, value=-1.0 / (k * (k + 1)))
     return value
-
-
-def known(condition: Tensor) -> bool:
-    """Whether `condition` holds everywhere, as far as it may be asked: what a shortcut past unused branches needs.
-
-    False where the answer costs more than the shortcut saves (on an accelerator it would wait for the queue), or is not
-    to be had: a traced or vectorised tensor has no value to read. A shortcut gives the same bits as the long way.
-    """
-    if torch.compiler.is_compiling() or condition.device.type != "cpu":
-        return False
-    try:
-        return bool(condition.all())
-    except RuntimeError:  # vmap, fake and meta tensors say so by raising this
-        return False
 
 
 def stumpff(x: Tensor) -> Stumpff:

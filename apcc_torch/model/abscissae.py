@@ -47,6 +47,11 @@ def decouple(X: Tensor, pi_hat: Tensor) -> tuple[Tensor, Tensor]:
     Raises:
         ShapeError: X or pi_hat has no trailing dimension, or the leading dimensions do not broadcast.
         DtypeError: Their dtypes differ.
+
+    Example:
+        >>> X_tilde, j = decouple(torch.tensor([0.1, 0.2, 0.5]), torch.tensor([0.2, 0.25]))
+        >>> X_tilde, j
+        (tensor([0.5000, 1.0000, 1.0000]), tensor([0, 0, 1]))
     """
     check_tensor("X", X, (None,))
     check_tensor("pi_hat", pi_hat, (None,))

@@ -42,6 +42,13 @@ class AffineBackbone(StrainBackbone):
     Raises:
         ValueRangeError: n_sections or rods < 1, or base_rotation is not a rotation.
         ShapeError: base_rotation is not (3, 3).
+
+    Example:
+        >>> backbone, L0 = AffineBackbone(1, rods=8), torch.tensor([0.2])
+        >>> backbone.coordinates.names(backbone.n)
+        ['bend x 1', 'bend y 1', 'slope x 1', 'slope y 1', 'elongation 1']
+        >>> backbone.tip(torch.tensor([0.5, 0.0, 0.2, 0.0, 0.0]), L0)
+        tensor([0.0425, 0.0000, 0.1933])
     """
 
     settings_type = AffineSettings
@@ -51,13 +58,15 @@ class AffineBackbone(StrainBackbone):
         self, n_sections: int = 3, base_rotation: Tensor | None = None, *settings: Any, **changes: Any
     ) -> None:
         s = resolved(AffineSettings, settings, changes)
-        start, slope = torch.zeros(6, 5, dtype=torch.float64), torch.zeros(6, 5, dtype=torch.float64)
+        # On the CPU, whatever the default device is: `StrainBackbone` takes them to that of the base.
+        start, slope = (torch.zeros(6, 5, dtype=torch.float64, device="cpu") for _ in range(2))
         # omega = (-(theta_y + (2 s - 1) sigma_y), theta_x + (2 s - 1) sigma_x, 0), v = (0, 0, L).
         start[0, 1], start[0, 3], slope[0, 3] = -1.0, 1.0, -2.0
         start[1, 0], start[1, 2], slope[1, 2] = 1.0, -1.0, 2.0
         start[5, 4] = 1.0
         # Up to s: theta becomes s theta + (s^2 - s) sigma, sigma becomes s^2 sigma, L becomes s L.
-        first, second = torch.diag(torch.tensor([1.0, 1.0, 0.0, 0.0, 1.0])).double(), torch.zeros(5, 5).double()
+        first, second = (torch.zeros(5, 5, dtype=torch.float64, device="cpu") for _ in range(2))
+        first[0, 0] = first[1, 1] = first[4, 4] = 1.0
         first[0, 2] = first[1, 3] = -1.0
         second[0, 2] = second[1, 3] = second[2, 2] = second[3, 3] = 1.0
         coordinates = Coordinates((BEND_X, BEND_Y, SLOPE_X, SLOPE_Y, ELONGATION))

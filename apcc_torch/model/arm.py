@@ -12,15 +12,22 @@ import torch
 import yaml
 from torch import Tensor
 
+from apcc_torch.conf_path import conf_path
 from apcc_torch.errors import ConfigError, DataError, ValueRangeError
 from apcc_torch.files import write_atomically
+from apcc_torch.lie import so3
+from apcc_torch.model.arm_placement import Placement
+from apcc_torch.model.arm_tendons import Actuation, Tendons
 from apcc_torch.model.backbone import HANGING, PCCBackbone
 from apcc_torch.model.dynamics import SoftArmDynamics
 from apcc_torch.model.kinematic_model import KinematicModel
 from apcc_torch.model.stiffness import scaled_stiffness
+from apcc_torch.model.table import Table, table
 from apcc_torch.model.tendons import TendonRouting, rack_routing
-from apcc_torch.reading import plain, read
-from apcc_torch.settings import OURS, PAPER, Setting, Settings, aligned, setting
+from apcc_torch.modes import holds
+from apcc_torch.reading import deviations, read
+from apcc_torch.settings import OURS, PAPER, Setting, Settings, aligned, did_you_mean, setting
+from apcc_torch.spread import Numbers, spread
 
 STANDING = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 BASES = {"hanging": HANGING, "standing": STANDING}
@@ -44,6 +51,7 @@ class Arm(Settings):
         6
     """
 
+    name: str = setting("arm", "", OURS, "what tables and figures call it; in a file without one, the file's name")
     lengths: Lengths = setting(unit="m", source=PAPER, meaning="rest lengths of the sections", rows="sections", above=0)
     sensors: Lengths | None = setting(
         None, "m", PAPER, "abscissae of the sensors; null: the sections' ends", rows="sections", least=0
@@ -51,9 +59,13 @@ class Arm(Settings):
     true_sensors: Lengths | None = setting(
         None, "m", OURS, "where a plant's sensors really are; null: as believed", rows="sections", least=0
     )
+    mounts: Table | None = setting(
+        None, "m", OURS, "from the backbone to each sensed body, (x, y, z) in the axes there; null: none", rows="lists"
+    )
     base: str = setting(
         "hanging", "", OURS, "hanging (pi about x, the arm at z <= 0) or standing", choices=tuple(BASES)
     )
+    placement: Placement = setting(factory=Placement, meaning="where the base stands in a recording's frame")
     racks: Lengths | None = setting(
         None, "m", PAPER, "abscissae of the tendon racks; null: the sections' ends", above=0
     )
@@ -67,7 +79,12 @@ class Arm(Settings):
         "coupled, a tendon acts from the base on; independent, from the rack before its own",
         choices=("coupled", "independent"),
     )
+    tendons: Tendons = setting(factory=Tendons, meaning="the tendons one by one, where racks do not say it")
+    actuation: Actuation = setting(factory=Actuation, meaning="what drives the tendons")
     mass: Setting = setting(1.0, "kg", PAPER, "of the whole arm, spread by length", rows="number", above=0)
+    masses: Lengths | None = setting(
+        None, "kg", OURS, "of each section; null: mass, spread by length", rows="sections", above=0
+    )
     axial_stiffness: Setting = setting(
         100.0, "N/m", PAPER, "of a section of the reference length", rows="number", above=0
     )
@@ -82,24 +99,42 @@ class Arm(Settings):
         "series: EA/l, EI/l as in beam theory; proportional: the paper's wording read literally",
         choices=("series", "proportional"),
     )
+    axial_rigidity: Numbers | None = setting(
+        None, "N", OURS, "EA of the sections; null: from the reference section", rows="sections", above=0
+    )
+    bending_rigidity: Numbers | None = setting(
+        None, "N m^2", OURS, "EI of the sections; null: from the reference section", rows="sections", above=0
+    )
+    rest_bend: Table | None = setting(
+        None, "rad", OURS, "bend (x, y) of each section without load; null: straight, as `dynamics` is", rows="lists"
+    )
     damping_ratio: Setting = setting(0.1, "s", PAPER, "D = damping_ratio K", rows="number", least=0)
 
     def check(self) -> None:
-        """Raises where abscissae do not increase or lie beyond the arm, or nothing is there."""
+        """Raises where entries differ in number, abscissae do not increase or lie beyond the arm, or none are there."""
         lengths = self.rest_lengths()
-        if not lengths.shape[-1]:
+        n_b = lengths.shape[-1]
+        if not n_b:
             raise ConfigError("lengths must name at least one section")
         end = lengths.sum(-1, keepdim=True) * (1.0 + 1e-6)
-        for name, wanted in {"sensors": self.sensors, "true_sensors": self.true_sensors, "racks": self.racks}.items():
-            if wanted is None:
+        for name in ("sensors", "true_sensors", "racks"):
+            value = getattr(self, name)
+            if value is None:
                 continue
-            at = vector(wanted)
-            if not at.shape[-1] or bool((at.diff(dim=-1) <= 0).any()):
+            at = vector(value)
+            if not at.shape[-1] or not holds(at.diff(dim=-1) > 0):
                 raise ValueRangeError(f"{name} must be increasing, at least one, got {at.tolist()}")
-            if bool((at > end).any()):
+            if not holds(at <= end):
                 raise ValueRangeError(f"{name} must lie on the arm, {float(end.max()):.4g} m long, got {at.tolist()}")
         if self.true_sensors is not None and vector(self.true_sensors).shape != self.sensor_places().shape:
             raise ConfigError("true_sensors must have as many entries as sensors")
+        for name in ("masses", "axial_rigidity", "bending_rigidity"):
+            if getattr(self, name) is not None:
+                spread(name, getattr(self, name), n_b)
+        self.tendons.check_on(n_b, self._n_racked)
+        self.actuation.check_on(self.n_tendons)
+        table("rest_bend", self.rest_bend, n_b, 2)
+        table("mounts", self.mounts, self.sensor_places().shape[-1], 3)
 
     @property
     def n_sections(self) -> int:
@@ -109,7 +144,11 @@ class Arm(Settings):
     @property
     def n_tendons(self) -> int:
         """Number of tendons n_a."""
-        return self.routing().n_tendons
+        return self.tendons.count(self._n_racked)
+
+    @property
+    def _n_racked(self) -> int:
+        return self.tendons_per_rack * vector(self.lengths if self.racks is None else self.racks).shape[-1]
 
     def rest_lengths(self) -> Tensor:
         """(..., n_b) m, float64 unless they are a tensor."""
@@ -124,8 +163,13 @@ class Arm(Settings):
         return self.sensor_places() if self.true_sensors is None else vector(self.true_sensors)
 
     def base_rotation(self) -> Tensor:
-        """(3, 3) base of the arm in the world."""
-        return torch.tensor(BASES[self.base], dtype=torch.float64)
+        """(3, 3) base of the arm in the world, whose z axis points up."""
+        rotation = self.placement.rotation
+        if rotation is None:
+            turn = torch.tensor(BASES[self.base], dtype=torch.float64)
+        else:
+            turn = so3.exp(torch.tensor(rotation, dtype=torch.float64))
+        return self.placement.upright() @ turn
 
     def backbone(self, kind: Callable[..., KinematicModel] = PCCBackbone, **settings: Any) -> KinematicModel:
         """A kinematic model of its sections.
@@ -138,50 +182,91 @@ class Arm(Settings):
 
     def routing(self) -> TendonRouting:
         """Its tendons."""
-        racks = self.rest_lengths().cumsum(-1) if self.racks is None else vector(self.racks)
-        return rack_routing(racks, self.tendon_offset, self.tendons_per_rack, self.rack_twist, self.layout)
+        tips = self.rest_lengths().cumsum(-1)
+        racks = tips if self.racks is None else vector(self.racks)
+        racked = rack_routing(racks, self.tendon_offset, self.tendons_per_rack, self.rack_twist, self.layout)
+        return self.tendons.routing(racked, tips)
 
     def refined(self, factor: int) -> Tensor:
         """(..., factor n_b) lengths of the sections, each divided into `factor` equal ones, m."""
         return (self.rest_lengths() / factor).repeat_interleave(factor, dim=-1)
 
-    def dynamics(self, factor: int = 1) -> SoftArmDynamics:
-        """Its dynamics, each section divided into `factor` equal ones."""
+    def section_masses(self, factor: int = 1) -> Tensor:
+        """(..., factor n_b) kg, each section divided into `factor` equal ones."""
+        if self.masses is not None:
+            return (vector(self.masses) / factor).repeat_interleave(factor, dim=-1)
         lengths = self.refined(factor)
-        axial, bending = scaled_stiffness(
-            lengths,
-            aligned(self.stiffness_reference, 1),
-            aligned(self.axial_stiffness, 1),
-            aligned(self.bending_stiffness, 1),
-            self.stiffness_rule,
+        return aligned(self.mass, 1) * lengths / lengths.sum(-1, keepdim=True)
+
+    def section_stiffness(self, factor: int = 1) -> tuple[Tensor, Tensor]:
+        """Axial, N/m, and bending stiffness, N m/rad, (..., factor n_b), each section divided into `factor` ones."""
+        lengths = self.refined(factor)
+        reference, axial, bending = (
+            aligned(value, 1) for value in (self.stiffness_reference, self.axial_stiffness, self.bending_stiffness)
         )
-        masses = aligned(self.mass, 1) * lengths / lengths.sum(-1, keepdim=True)
+        axial, bending = scaled_stiffness(lengths, reference, axial, bending, self.stiffness_rule)
+        n_b = self.n_sections
+        if self.axial_rigidity is not None:
+            axial = spread("axial_rigidity", self.axial_rigidity, n_b).repeat_interleave(factor, -1) / lengths
+        if self.bending_rigidity is not None:
+            bending = spread("bending_rigidity", self.bending_rigidity, n_b).repeat_interleave(factor, -1) / lengths
+        return axial, bending
+
+    def dynamics(self, factor: int = 1) -> SoftArmDynamics:
+        """Its dynamics, each section divided into `factor` equal ones; sections are straight without load."""
         return SoftArmDynamics(
-            lengths, masses, axial, bending, damping_ratio=self.damping_ratio, base_rotation=self.base_rotation()
+            self.refined(factor),
+            self.section_masses(factor),
+            *self.section_stiffness(factor),
+            damping_ratio=self.damping_ratio,
+            base_rotation=self.base_rotation(),
+            gravity=self.placement.acceleration,
         )
 
     @staticmethod
     def load(path: str | Path) -> Arm:
         """Reads an arm's file, YAML with the fields of this class as keys.
 
+        Args:
+            path: The file; or the name of an arm that comes with the package in conf/arm, such as "arm_1", the paper's.
+
         Raises:
             DataError: The file cannot be read.
-            ConfigError, ValueRangeError: A key is unknown, or a value out of range.
+            ConfigError, ValueRangeError: There is no arm of that name, a key is unknown, or a value out of range.
         """
+        path = _file_of(path)
         try:
-            values = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
+            values = yaml.safe_load(path.read_text(encoding="utf-8"))
         except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
             raise DataError(f"{path}: cannot be read as an arm's file: {str(error).splitlines()[0]}") from error
         if not isinstance(values, dict):
             raise DataError(f"{path}: is no arm's file: it must hold keys such as lengths")
         try:
-            return read(values, Arm)
+            return read({"name": Path(path).stem} | values, Arm)
         except (ConfigError, ValueRangeError) as error:
             raise type(error)(f"{path}: {error}") from error
 
-    def save(self, path: str | Path) -> None:
-        """Writes the arm as a file that `load` reads."""
-        write_atomically(path, yaml.safe_dump(plain(self), sort_keys=False, default_flow_style=None))
+    def save(self, path: str | Path, comment: str = "") -> None:
+        """Writes the arm as a file that `load` reads: its name and what differs from the defaults.
+
+        Args:
+            path: The file.
+            comment: Lines to stand above.
+        """
+        values = {"name": self.name} | deviations(self)
+        text = yaml.safe_dump(values, sort_keys=False, default_flow_style=None, width=120)
+        write_atomically(path, "".join(f"# {line}\n" for line in comment.splitlines()) + text)
+
+
+def _file_of(path: str | Path) -> Path:
+    """The file of an arm: what has neither folder nor suffix is a name in conf/arm."""
+    path = Path(path)
+    if path.suffix or len(path.parts) != 1:
+        return path
+    files = {file.stem: file for file in sorted(Path(conf_path(), "arm").glob("*.yaml"))}
+    if path.name not in files:
+        raise ConfigError(f"the package has no arm {path.name!r}{did_you_mean(path.name, files)}")
+    return files[path.name]
 
 
 def vector(values: Lengths) -> Tensor:

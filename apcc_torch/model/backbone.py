@@ -38,6 +38,13 @@ class PCCBackbone(KinematicModel):
     Raises:
         ValueRangeError: n_sections < 1, or base_rotation is not a rotation.
         ShapeError: base_rotation is not (3, 3).
+
+    Example:
+        >>> backbone, L0 = PCCBackbone(2), torch.tensor([0.2, 0.25])
+        >>> backbone.tip(torch.zeros(6), L0)
+        tensor([0.0000, 0.0000, 0.4500])
+        >>> backbone.tip(torch.tensor([0.5, 0.0, 0.0, -0.5, 0.0, 0.01]), L0)
+        tensor([0.1126, 0.0000, 0.4411])
     """
 
     def __init__(self, n_sections: int = 3, base_rotation: Tensor | None = None) -> None:

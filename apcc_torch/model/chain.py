@@ -13,6 +13,7 @@ from torch import Tensor
 
 from apcc_torch.lie.stumpff import Stumpff, stumpff
 from apcc_torch.model.arc import Arc, arc_geometry, arc_rate, squared_bend
+from apcc_torch.modes import full_precision
 
 
 class Chain(NamedTuple):
@@ -53,11 +54,13 @@ class Chain(NamedTuple):
         before, ends, rotation = self.before.select(-4, -1), self.ends.select(-3, -1), self.rotation.select(-3, -1)
         return Chain(x, y, length, c, arcs, before, ends, rotation)
 
+    @full_precision
     def tip_jacobian(self) -> Tensor:
         """Linear velocity (..., 3, 3 n) of the tip, in world axes, for unit rates of the coordinates."""
         arm = self.tip.unsqueeze(-2) - self.ends
         return flatten_columns(_linear_columns(self.before @ self.arcs.columns, arm, self.length))
 
+    @full_precision
     def body_jacobian(self) -> Tensor:
         """Body twist (..., 6, 3 n) of the tip for unit rates of the coordinates, rows angular then linear."""
         from_body = self.rotation
@@ -68,6 +71,7 @@ class Chain(NamedTuple):
         angular = torch.nn.functional.pad(columns[..., :2], (0, 1))
         return flatten_columns(torch.cat((angular, linear), dim=-2))
 
+    @full_precision
     def jacobian_rate(self, qdot: Tensor) -> Tensor:
         """Jdot (..., 3, 3 n) of the tip along qdot (..., 3 n). Its columns of delta L are the regressor Y, Eq. (8)."""
         xdot, ydot, lengthdot = (rate.expand_as(self.length) for rate in qdot.unflatten(-1, (-1, 3)).unbind(-1))

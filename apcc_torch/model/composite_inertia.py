@@ -105,7 +105,8 @@ def solved(parts: Composite, force: Tensor) -> Tensor:
         force: (*batch, 3 n_b).
     """
     n = force.shape[-1]
-    if n >= 3 * RECURSIVE_SECTIONS and force.numel() * n >= RECURSIVE_ENTRIES:
+    # Compiled, small operations are cheap, and the batch may be of any size.
+    if n >= 3 * RECURSIVE_SECTIONS and (torch.compiler.is_compiling() or force.numel() * n >= RECURSIVE_ENTRIES):
         return solved_recursively(parts, force)
     return solve_spd(assembled(parts), force.unsqueeze(-1)).squeeze(-1)
 

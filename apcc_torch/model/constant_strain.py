@@ -60,6 +60,13 @@ class ConstantStrainBackbone(StrainBackbone):
         ConfigError: A strain is unknown or named twice, the elongation is missing, or not every section has one.
         ValueRangeError: n_sections < 1, or base_rotation is not a rotation.
         ShapeError: base_rotation is not (3, 3).
+
+    Example:
+        >>> backbone = ConstantStrainBackbone(1, strains=("bend_x", "bend_y", "torsion", "elongation"))
+        >>> backbone.coordinates.names(backbone.n)
+        ['bend x 1', 'bend y 1', 'torsion 1', 'elongation 1']
+        >>> backbone.tip(torch.tensor([0.5, 0.0, 0.2, 0.0]), torch.tensor([0.2]))
+        tensor([0.0488, 0.0033, 0.1918])
     """
 
     settings_type = ConstantStrainSettings
@@ -79,10 +86,11 @@ class ConstantStrainBackbone(StrainBackbone):
         order = list(STRAINS)
         places = [6 * i + k for i, names in enumerate(chosen) for k, name in enumerate(order) if name in names]
         pattern = tuple(STRAINS[order[p % 6]] for p in places if apart or p < 6)
-        start = torch.zeros(6, 6, dtype=torch.float64)
+        # On the CPU, whatever the default device is: `StrainBackbone` takes it to that of the base.
+        start = torch.zeros(6, 6, dtype=torch.float64, device="cpu")
         for column, (row, sign) in enumerate(_TWISTS):
             start[row, column] = sign
-        basis = Basis(start, None, torch.eye(6, dtype=torch.float64), None)
+        basis = Basis(start, None, torch.eye(6, dtype=torch.float64, device="cpu"), None)
         super().__init__(n_sections, Coordinates(pattern), basis, 1, base_rotation, _chosen(places, 6 * n_sections))
         self._shared = None if apart else tuple(chosen[0])
         self.hold(s)
@@ -112,6 +120,7 @@ def _chosen(places: list[int], size: int) -> Chosen | None:
     """None where all are chosen."""
     if len(places) == size:
         return None
-    entries = torch.full((size,), len(places), dtype=torch.int64)
-    entries[places] = torch.arange(len(places))
-    return Chosen(torch.tensor(places, dtype=torch.int64), entries)
+    entries = [len(places)] * size
+    for entry, place in enumerate(places):
+        entries[place] = entry
+    return Chosen(*(torch.tensor(numbers, dtype=torch.int64, device="cpu") for numbers in (places, entries)))

@@ -19,6 +19,10 @@ class Coordinate:
     name: In words.
     unit: "rad" or "m".
     driven: Whether the tendons move it. What they do not, the load moves: it is inferred, and never commanded.
+
+    Example:
+        >>> Coordinate("torsion", "rad", driven=False).stretches
+        False
     """
 
     name: str
@@ -44,6 +48,13 @@ class Coordinates:
 
     pattern: The coordinates of one section where all sections have the same, else those of the whole arm, in order.
         Every section has one `ELONGATION`, its last.
+
+    Example:
+        >>> coordinates = AffineBackbone(2).coordinates
+        >>> coordinates.names(10)[:5]
+        ['bend x 1', 'bend y 1', 'slope x 1', 'slope y 1', 'elongation 1']
+        >>> torch.arange(10)[coordinates.elongations]
+        tensor([4, 9])
     """
 
     pattern: tuple[Coordinate, ...]

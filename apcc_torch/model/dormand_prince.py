@@ -9,6 +9,7 @@ from torch import Tensor
 
 from apcc_torch.errors import ValueRangeError
 from apcc_torch.model.integrators import Field
+from apcc_torch.modes import holds
 
 # Dormand and Prince's tableau: nodes, stage rows, and the difference between the 5th and 4th order weights.
 _NODES = (0.0, 1 / 5, 3 / 10, 4 / 5, 8 / 9, 1.0, 1.0)
@@ -66,6 +67,8 @@ def reference(
 ) -> Trajectory:
     """Integrates dx/dt = field(t, x) with error control per row (Dormand-Prince 5(4)); slow and accurate.
 
+    How many steps there are is a matter of values: it cannot be compiled, exported or vectorised.
+
     Every row has its own time and step, and steps onto each of `times`. A row whose step size collapses or that leaves
     `bound` is frozen at its last good state.
 
@@ -82,7 +85,7 @@ def reference(
     Raises:
         ValueRangeError: `times` does not increase.
     """
-    if bool((times.diff() <= 0).any()):
+    if not holds(times.diff() > 0):
         raise ValueRangeError("times must increase")
     rows = x.shape[:-1]
     t = times[0].expand(rows)

@@ -15,18 +15,12 @@ from torch import Tensor, nn
 
 from apcc_torch.errors import ValueRangeError
 from apcc_torch.model.composite_inertia import Composite, assembled, composite, solved
-from apcc_torch.model.inertia import (
-    ArmShape,
-    Bending,
-    arm_shape,
-    bending,
-    moments,
-    own_momentum,
-    quadrature_nodes,
-)
+from apcc_torch.model.inertia import ArmShape, Bending, arm_shape, bending, mass_points, moments, own_momentum
 from apcc_torch.model.loads import Loads, Payload, carried_wrench, distributed_load, front
+from apcc_torch.model.stiffness import section_diagonal
 from apcc_torch.model.velocity_accelerations import accelerations, generalized_force, rates
-from apcc_torch.part import hold_rows
+from apcc_torch.modes import holds
+from apcc_torch.part import Part, hold_rows
 from apcc_torch.shapes import batch_shape, check_finite, check_positive, check_same, check_tensor
 
 
@@ -50,7 +44,7 @@ class Energy(NamedTuple):
     elastic: Tensor
 
 
-class SoftArmDynamics(nn.Module):
+class SoftArmDynamics(Part):
     """Dynamics of a batch of soft arms; parameters may differ from arm to arm through their leading dimensions.
 
     Args:
@@ -67,12 +61,18 @@ class SoftArmDynamics(nn.Module):
     Raises:
         ShapeError: The parameters' shapes do not agree.
         ValueRangeError: A length, mass or stiffness is not positive, or a damping is negative.
+
+    Example:
+        >>> Arm(lengths=[0.2, 0.25]).dynamics().gravity(torch.zeros(6).double())[[2, 5]]
+        tensor([-7.6300, -2.7250], dtype=torch.float64)
     """
 
     lengths: Tensor
     masses: Tensor
-    stiffness_diagonal: Tensor
-    damping_diagonal: Tensor
+    axial_stiffness: Tensor
+    bending_stiffness: Tensor
+    damping_ratio: Tensor
+    own_damping: Tensor | None
     base_rotation: Tensor
     gravity_acceleration: Tensor
     powers: Tensor
@@ -95,44 +95,54 @@ class SoftArmDynamics(nn.Module):
     ) -> None:
         super().__init__()
         check_positive("lengths", check_tensor("lengths", lengths, (None,)))
-        n_b = lengths.shape[-1]
-        dtype, device = lengths.dtype, lengths.device
+        n_b, dtype, device = lengths.shape[-1], lengths.dtype, lengths.device
         given = {"masses": masses, "axial_stiffness": axial_stiffness, "bending_stiffness": bending_stiffness}
         for name, value in given.items():
             check_positive(name, check_tensor(name, value, (n_b,)))
         check_same(lengths=lengths, **given)
         if n_quadrature < 2:
             raise ValueRangeError(f"n_quadrature must be at least 2, got {n_quadrature}")
-        if base_rotation is None:
-            base_rotation = torch.eye(3, dtype=dtype, device=device)
+        base_rotation = torch.eye(3, dtype=dtype, device=device) if base_rotation is None else base_rotation
         check_finite("base_rotation", check_tensor("base_rotation", base_rotation, (3, 3)))
-        bending_stiffness, axial_stiffness = torch.broadcast_tensors(bending_stiffness, axial_stiffness)
-        stiffness = torch.stack((bending_stiffness, bending_stiffness, axial_stiffness), dim=-1).flatten(-2)
-        if damping is None:
-            ratio = torch.as_tensor(damping_ratio, dtype=dtype, device=device)
-            damping = ratio.unsqueeze(-1) * stiffness
-        check_finite("damping", check_tensor("damping", damping, (3 * n_b,)))
-        if bool((damping < 0).any()):
+        ratio, acceleration = (
+            value if isinstance(value, nn.Parameter) else torch.as_tensor(value, dtype=dtype, device=device)
+            for value in (damping_ratio, gravity)
+        )
+        hold_rows(self, lengths=(lengths, 1), masses=(masses, 1), base_rotation=(base_rotation, 2))
+        hold_rows(self, axial_stiffness=(axial_stiffness, 1), bending_stiffness=(bending_stiffness, 1))
+        hold_rows(self, damping_ratio=(ratio, 0), own_damping=(damping, 1), gravity_acceleration=(acceleration, 0))
+        viscous = check_finite("damping", check_tensor("damping", self.damping_diagonal, (3 * n_b,)))
+        if not holds(viscous >= 0):
             raise ValueRangeError("damping must not be negative")
-        check_same(lengths=lengths, damping=damping, base_rotation=base_rotation)
-        points, weights = quadrature_nodes(n_quadrature, torch.float64)
-        powers = torch.stack([points**k for k in range(1, 7)])
-        tip = torch.zeros(n_quadrature + 1, n_b, dtype=dtype, device=device)
-        tip[-1, -1] = 1.0
-        acceleration = torch.as_tensor(gravity, dtype=dtype, device=device)
+        check_same(lengths=lengths, damping=viscous, base_rotation=base_rotation)
         batch = batch_shape(
-            lengths=(lengths, 1), masses=(masses, 1), stiffness=(stiffness, 1), damping=(damping, 1),
+            lengths=(lengths, 1), masses=(masses, 1), stiffness=(self.stiffness_diagonal, 1), damping=(viscous, 1),
             base_rotation=(base_rotation, 2), gravity=(acceleration, 0),
         )  # fmt: skip
-        self.n_sections = n_b
-        hold_rows(self, lengths=(lengths, 1), masses=(masses, 1), stiffness_diagonal=(stiffness, 1))
-        hold_rows(self, damping_diagonal=(damping, 1), base_rotation=(base_rotation, 2))
-        hold_rows(self, gravity_acceleration=(acceleration, 0))
         hold_rows(self, batch_marker=(torch.zeros(batch, dtype=dtype, device=device), 0))
-        self.register_buffer("powers", powers.to(dtype=dtype, device=device))
-        self.register_buffer("weights", weights.to(dtype=dtype, device=device))
-        self.register_buffer("tip", tip)
-        self.register_buffer("before", torch.ones(n_b, n_b, dtype=dtype, device=device).tril(-1))
+        self.n_sections, self.n_quadrature = n_b, n_quadrature
+        self.derive()
+
+    def derive(self) -> None:
+        """The mass points of a section, where the tip is among them, and which sections lie before each."""
+        like, n_b = self.lengths.detach(), self.n_sections
+        powers, weights = mass_points(self.n_quadrature, like)
+        tip = like.new_zeros(self.n_quadrature + 1, n_b)
+        tip[-1, -1] = 1.0
+        before = like.new_ones(n_b, n_b).tril(-1)
+        for name, value in {"powers": powers, "weights": weights, "tip": tip, "before": before}.items():
+            self.register_buffer(name, value, persistent=False)
+
+    @property
+    def stiffness_diagonal(self) -> Tensor:
+        """The diagonal (..., n) of K, N m/rad, N m/rad, N/m a section."""
+        return section_diagonal(self.bending_stiffness, self.axial_stiffness)
+
+    @property
+    def damping_diagonal(self) -> Tensor:
+        """The diagonal (..., n) of D, N m s/rad, N m s/rad, N s/m a section."""
+        own = self.own_damping
+        return self.damping_ratio.unsqueeze(-1) * self.stiffness_diagonal if own is None else own
 
     @property
     def stiffness(self) -> Tensor:
@@ -158,12 +168,7 @@ class SoftArmDynamics(nn.Module):
         return assembled(composite(bend, shape, sums, self.before))
 
     def gravity(self, q: Tensor, payload: Payload = None) -> Tensor:
-        """G(q) = dU_gravity/dq (..., n), Eq. (38) [Dalenberg].
-
-        Args:
-            q: (..., 3 n_b) rad, rad, m.
-            payload: (...) point mass at the tip, kg.
-        """
+        """G(q) = dU_gravity/dq (..., n), Eq. (38) [Dalenberg]; arguments as for `inertia`."""
         return self.static_load(q, payload)
 
     def static_load(

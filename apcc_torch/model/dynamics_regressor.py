@@ -12,14 +12,15 @@ Mdot - 2 C is skew-symmetric.
 from __future__ import annotations
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from apcc_torch.errors import ValueRangeError
 from apcc_torch.model.composite_inertia import assembled, composite
-from apcc_torch.model.inertia import arm_shape, bending, moments, own_momentum, quadrature_nodes
+from apcc_torch.model.inertia import arm_shape, bending, mass_points, moments, own_momentum
 from apcc_torch.model.loads import front
 from apcc_torch.model.tendons import TendonRouting
 from apcc_torch.model.velocity_accelerations import accelerations, generalized_force, rates
+from apcc_torch.part import Part, hold_rows
 from apcc_torch.settings import check_setting
 from apcc_torch.shapes import batch_shape, check_finite, check_same, check_tensor
 
@@ -31,7 +32,7 @@ mass that it has of the length.
 """
 
 
-class DynamicsRegressor(nn.Module):
+class DynamicsRegressor(Part):
     """Y_d of a hanging or standing arm of constant-curvature sections, for rest lengths given at every call.
 
     Args:
@@ -44,6 +45,13 @@ class DynamicsRegressor(nn.Module):
     Raises:
         ShapeError: base_rotation is not (3, 3).
         ValueRangeError: n_quadrature is below 2, the ratio is negative, or a number is not finite.
+
+    Example:
+        >>> arm = Arm(lengths=[0.2, 0.25])
+        >>> regressor = DynamicsRegressor(arm.routing(), arm.base_rotation())
+        >>> still = torch.zeros(6).double()
+        >>> regressor(still, still, still, still, arm.rest_lengths()).shape
+        torch.Size([6, 5])
     """
 
     base_rotation: Tensor
@@ -65,16 +73,21 @@ class DynamicsRegressor(nn.Module):
             raise ValueRangeError(f"n_quadrature must be at least 2, got {n_quadrature}")
         if not abs(gravity) < float("inf"):
             raise ValueRangeError(f"gravity must be finite, got {gravity}")
-        points, weights = quadrature_nodes(n_quadrature, torch.float64)
-        powers = torch.stack([points**k for k in range(1, 7)])
+        self.n_quadrature = n_quadrature
         self.routing = routing
         self.damping_ratio = check_setting("damping_ratio", damping_ratio, zero=True)
         self.gravity = gravity
-        self.register_buffer("base_rotation", base_rotation.clone())
-        self.register_buffer("powers", powers.to(base_rotation))
-        self.register_buffer("weights", weights.to(base_rotation))
+        hold_rows(self, base_rotation=(base_rotation, 2))
+        self.derive()
+
+    def derive(self) -> None:
+        """The mass points of a section."""
+        powers, weights = mass_points(self.n_quadrature, self.base_rotation.detach())
         # The last of the points is the section's tip, which has no weight of its own.
-        self.register_buffer("tip", torch.eye(len(weights))[-1].to(base_rotation))
+        tip = torch.zeros_like(weights)
+        tip[-1] = 1.0
+        for name, value in {"powers": powers, "weights": weights, "tip": tip}.items():
+            self.register_buffer(name, value, persistent=False)
 
     def forward(
         self, q: Tensor, qdot: Tensor, v: Tensor, a: Tensor, L0: Tensor, q_elastic: Tensor | None = None

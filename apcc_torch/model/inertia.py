@@ -82,13 +82,20 @@ def quadrature_nodes(n: int, dtype: torch.dtype) -> tuple[Tensor, Tensor]:
     Returns:
         nodes (n + 1,) material fractions and weights (n + 1,) that sum to 1.
     """
-    # Golub-Welsch: the nodes are the eigenvalues of the Legendre recurrence's Jacobi matrix.
-    k = torch.arange(1, n, dtype=torch.float64)
+    # Golub-Welsch: the nodes are the eigenvalues of the Legendre recurrence's Jacobi matrix. On the CPU, whatever the
+    # default device is: it may be one without values.
+    k = torch.arange(1, n, dtype=torch.float64, device="cpu")
     off = k / torch.sqrt(4.0 * k * k - 1.0)
     values, vectors = torch.linalg.eigh(torch.diag(off, 1) + torch.diag(off, -1))
-    nodes = torch.cat((0.5 * (values + 1.0), torch.ones(1, dtype=torch.float64)))
-    weights = torch.cat((vectors[0] ** 2, torch.zeros(1, dtype=torch.float64)))
+    nodes = torch.cat((0.5 * (values + 1.0), torch.ones_like(k[:1])))
+    weights = torch.cat((vectors[0] ** 2, torch.zeros_like(k[:1])))
     return nodes.to(dtype), weights.to(dtype)
+
+
+def mass_points(n: int, like: Tensor) -> tuple[Tensor, Tensor]:
+    """Powers s, s^2, ..., s^6 (6, n + 1) of `quadrature_nodes`, and their weights (n + 1,), of the kind of `like`."""
+    nodes, weights = quadrature_nodes(n, torch.float64)
+    return torch.stack([nodes**k for k in range(1, 7)]).to(like), weights.to(like)
 
 
 def bending(q: Tensor, lengths: Tensor, powers: Tensor) -> Bending:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import fields
-from typing import Any, Protocol, Self
+from typing import Any, Protocol, Self, cast
 
 import torch
 from torch import Tensor
@@ -19,6 +19,7 @@ from apcc_torch.lie import se3
 from apcc_torch.model.abscissae import MaterialPoints, decouple, section_fractions
 from apcc_torch.model.coordinates import Coordinates
 from apcc_torch.model.tendons import TendonRouting
+from apcc_torch.modes import holds
 from apcc_torch.part import Part, hold_rows
 from apcc_torch.settings import Settings
 from apcc_torch.shapes import batch_shape, check_same, check_tensor
@@ -62,6 +63,11 @@ class KinematicModel(Part, ABC):
     Raises:
         ValueRangeError: n_sections < 1, or base_rotation is not a rotation.
         ShapeError: base_rotation is not (3, 3).
+
+    Example:
+        >>> models = PCCBackbone(2), AffineBackbone(2), ConstantStrainBackbone(2)
+        >>> [(isinstance(model, KinematicModel), model.n) for model in models]
+        [(True, 6), (True, 10), (True, 12)]
     """
 
     base_rotation: Tensor
@@ -75,7 +81,7 @@ class KinematicModel(Part, ABC):
         check_tensor("base_rotation", base_rotation, (3, 3))
         rotation = base_rotation.detach().to(torch.float64)
         defect = (rotation @ rotation.mT - torch.eye(3, dtype=torch.float64, device=rotation.device)).abs().max()
-        if not (float(defect) < 1e-4 and float(torch.linalg.det(rotation)) > 0.0):
+        if not holds((defect < 1e-4) & (torch.linalg.det(rotation) > 0.0)):
             raise ValueRangeError("base_rotation must be a rotation matrix (orthonormal, determinant 1)")
         self.n_sections = n_sections
         self.coordinates = coordinates
@@ -85,7 +91,7 @@ class KinematicModel(Part, ABC):
     def on(cls, n_sections: int, base_rotation: Tensor, settings: Settings) -> Self:
         """The model of so many sections on a base, with the settings of its class, if that has any."""
         own: Any = [settings] if fields(settings) else []
-        return cls(n_sections, base_rotation, *own)
+        return cast(Any, cls)(n_sections, base_rotation, *own)
 
     @property
     @abstractmethod

@@ -25,6 +25,11 @@ class Loads(NamedTuple):
     wrench: (..., 6) torque (N m) and force (N) at the tip.
     distributed: (..., 3) force per material length, N/m.
     section_wrenches: (..., n_b, 6) torque and force at every section's tip.
+
+    Example:
+        >>> pushed = Loads(wrench=torch.tensor([0.0, 0.0, 0.0, 0.1, 0.0, 0.0]).double())
+        >>> equilibrium(Arm(lengths=[0.2, 0.25]).dynamics(), loads=pushed).q[:3]
+        tensor([0.0214, 0.0000, 0.1526], dtype=torch.float64)
     """
 
     wrench: Tensor | None = None

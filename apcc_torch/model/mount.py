@@ -12,20 +12,21 @@ from __future__ import annotations
 
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
+from typing import Any
 
 import pytorch_kinematics as pk
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from apcc_torch.errors import ConfigError, DataError
 from apcc_torch.lie import se3, so3
 from apcc_torch.model.abscissae import decouple
 from apcc_torch.model.kinematic_model import KinematicModel
-from apcc_torch.part import hold_rows
+from apcc_torch.part import Part, hold_rows
 from apcc_torch.shapes import batch_shape, check_same, check_tensor
 
 
-class RigidMount(nn.Module):
+class RigidMount(Part):
     """A serial chain of m rigid joints between a URDF's base link and the flange that carries the arm.
 
     Joint values are (..., m): rad for revolute and continuous joints, m for prismatic ones, in the chain's order. First
@@ -51,10 +52,9 @@ class RigidMount(nn.Module):
         self, urdf: str | Path, end_link: str, root_link: str | None = None, placement: Tensor | None = None
     ) -> None:
         super().__init__()
-        text = urdf.read_text(encoding="utf-8") if isinstance(urdf, Path) else urdf
-        self._chain = _serial_chain(text, end_link, root_link)
-        # The chain keeps its constants to itself; one copy serves each dtype and device that it is asked for in.
-        self._copies = {(torch.float64, torch.device("cpu")): self._chain}
+        self.urdf = urdf.read_text(encoding="utf-8") if isinstance(urdf, Path) else urdf
+        self.end_link, self.root_link = end_link, root_link
+        self.derive()
         if placement is None:
             placement = torch.eye(4, dtype=torch.float64)
         check_tensor("placement", placement, (4, 4))
@@ -62,6 +62,24 @@ class RigidMount(nn.Module):
         limits, speeds = self._chain.get_joint_limits(), self._chain.get_joint_velocity_limits()
         for name, values in {"lower": limits[0], "upper": limits[1], "velocity": speeds[1]}.items():
             self.register_buffer(name, torch.tensor(values, dtype=torch.float64))
+
+    def derive(self) -> None:
+        """The chain."""
+        with torch.device("cpu"):  # whatever the default device is: the library reads values
+            self._chain = _serial_chain(self.urdf, self.end_link, self.root_link)
+        # The chain keeps its constants to itself; one copy serves each dtype and device that it is asked for in.
+        self._copies = {(torch.float64, torch.device("cpu")): self._chain}
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: value for name, value in vars(self).items() if name not in ("_chain", "_copies")}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        super().__setstate__(state)
+        self.derive()
+
+    def extra_repr(self) -> str:
+        """What the chain connects."""
+        return f"end_link={self.end_link!r}, joints={self.joint_names}"
 
     @property
     def n_joints(self) -> int:
@@ -121,7 +139,7 @@ class RigidMount(nn.Module):
         return self._copies[key]
 
 
-class MountedArm(nn.Module):
+class MountedArm(Part):
     """A soft arm on a rigid mount, as one body with configuration s = (joints, q), (..., m + n).
 
     Its points have poses and body Jacobians as those of a `KinematicModel`, so task stacks and clearance take it as it
@@ -245,8 +263,9 @@ def _serial_chain(text: str, end_link: str, root_link: str | None) -> pk.SerialC
 
 def _copied(chain: pk.SerialChain, dtype: torch.dtype, device: torch.device) -> pk.SerialChain:
     """The chain anew in another dtype or on another device; the library changes chains in place."""
-    frames = chain._serial_frames
-    return pk.SerialChain(chain, frames[-1].name, dtype=torch.float64).to(dtype=dtype, device=device)
+    with torch.device("cpu"):
+        copied = pk.SerialChain(chain, chain._serial_frames[-1].name, dtype=torch.float64)
+    return copied.to(dtype=dtype, device=device)
 
 
 def _numbers(text: str) -> Tensor:

@@ -9,18 +9,18 @@ sections may be of any kinematic model, and the rest lengths may be estimates th
 from __future__ import annotations
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from apcc_torch.errors import ConfigError, ValueRangeError
 from apcc_torch.model.abscissae import MaterialPoints, decouple, located
 from apcc_torch.model.inertia import quadrature_nodes
 from apcc_torch.model.kinematic_model import KinematicModel
-from apcc_torch.part import check_settings, hold
+from apcc_torch.part import Part, check_settings, hold
 from apcc_torch.settings import Setting, aligned, check_setting
 from apcc_torch.shapes import batch_shape, check_same, check_tensor
 
 
-class StaticBody(nn.Module):
+class StaticBody(Part):
     """Weight and elasticity of an arm of the same material all along; each number may be a tensor (...), one a row.
 
     Args:
@@ -36,6 +36,11 @@ class StaticBody(nn.Module):
     Raises:
         ConfigError: The model has a coordinate whose rigidity is not given.
         ValueRangeError: A number is out of range.
+
+    Example:
+        >>> body = StaticBody(PCCBackbone(2), density=1.6, axial=10.0, bending=0.08)
+        >>> body.stiffness(torch.tensor([0.2, 0.25]))
+        tensor([ 0.4000,  0.4000, 50.0000,  0.3200,  0.3200, 40.0000])
     """
 
     density: Setting
@@ -66,10 +71,14 @@ class StaticBody(nn.Module):
                 raise ConfigError(f"{_RIGIDITY[coordinate.name][0]} must be given: the model has {coordinate.name}")
         self.backbone = backbone
         hold(self, density=density, gravity_acceleration=check_setting("gravity", gravity, zero=True), **given)
-        points, weights = quadrature_nodes(n_quadrature, torch.float64)
-        # Without the section's tip, which `quadrature_nodes` appends for a payload.
-        self.register_buffer("nodes", points[:-1])
-        self.register_buffer("weights", weights[:-1])
+        self.n_quadrature = n_quadrature
+        self.derive()
+
+    def derive(self) -> None:
+        """The mass points of a section, without its tip, which `quadrature_nodes` appends for a payload."""
+        device = self.backbone.base_rotation.device
+        for name, value in zip(("nodes", "weights"), quadrature_nodes(self.n_quadrature, torch.float64), strict=True):
+            self.register_buffer(name, value[:-1].to(device), persistent=False)
 
     def stiffness(self, pi_hat: Tensor) -> Tensor:
         """Diagonal of K (..., n): N m/rad of angles, N/m of lengths. A section's strain energy is q K q / 2.

@@ -11,6 +11,7 @@ from apcc_torch.errors import ConfigError
 from apcc_torch.model.dynamics import SoftArmDynamics
 from apcc_torch.model.loads import Loads, Payload
 from apcc_torch.model.tendons import TendonRouting
+from apcc_torch.modes import full_precision, none_left
 from apcc_torch.shapes import batch_shape, check_tensor
 
 NO_LOADS = Loads()
@@ -56,6 +57,11 @@ def load_stiffness(
         q: (..., n) rad, rad, m.
         payload: (...) tip mass, kg.
         loads: External loads.
+
+    Example:
+        >>> load, slope = load_stiffness(Arm(lengths=[0.2, 0.25]).dynamics(), torch.zeros(6).double())
+        >>> load[[2, 5]], slope.shape
+        (tensor([-7.6300, -2.7250], dtype=torch.float64), torch.Size([6, 6]))
     """
     n = q.shape[-1]
     with torch.enable_grad():
@@ -66,6 +72,7 @@ def load_stiffness(
     return load[0].detach(), rows.movedim(0, -2)
 
 
+@full_precision
 def equilibrium(
     dynamics: SoftArmDynamics,
     tau: Tensor | None = None,
@@ -100,6 +107,13 @@ def equilibrium(
 
     Raises:
         ConfigError: Tensions and lengths are both given, or the routing is missing.
+
+    Example:
+        >>> arm = Arm(lengths=[0.2, 0.25], mass=0.4)
+        >>> pulls = torch.tensor([0.0, 0.0, 0.0, 2.0, 0.0, 0.0]).double()
+        >>> rest = equilibrium(arm.dynamics(), routing=arm.routing(), tensions=pulls)
+        >>> arm.backbone().tip(rest.q, arm.rest_lengths())
+        tensor([ 0.0288, -0.0166, -0.4462], dtype=torch.float64)
     """
     if tensions is not None and tendon_lengths is not None:
         raise ConfigError("give tensions or tendon_lengths, not both")
@@ -191,7 +205,7 @@ def _newton(
     for _ in range(iterations):
         elastic = torch.sqrt((stiffness * unknown[..., :n] ** 2).sum(-1))
         running = ~(merit <= tolerance * elastic.clamp(min=1.0)) & torch.isfinite(merit)
-        if not bool(running.any()):
+        if none_left(running):
             break
         system = jacobian + torch.diag_embed(damping.unsqueeze(-1) * extra)
         step, _info = torch.linalg.solve_ex(system, -residual.unsqueeze(-1))

@@ -2,11 +2,19 @@
 
 from __future__ import annotations
 
+import torch
 from torch import Tensor
 
 from apcc_torch.errors import ValueRangeError
 from apcc_torch.settings import Setting
 from apcc_torch.shapes import check_positive, check_tensor
+
+
+def section_diagonal(bending: Tensor, axial: Tensor) -> Tensor:
+    """(..., 3 n_b) the stiffness of every (dx, dy, dL) from that on bends and on elongations, each (..., n_b)."""
+    if bending.shape != axial.shape:
+        bending, axial = torch.broadcast_tensors(bending, axial)
+    return torch.stack((bending, bending, axial), dim=-1).flatten(-2)
 
 
 def scaled_stiffness(
@@ -30,6 +38,10 @@ def scaled_stiffness(
 
     Raises:
         ValueRangeError: A length is not positive, or `rule` is unknown.
+
+    Example:
+        >>> scaled_stiffness(torch.tensor([0.1, 0.2]), reference=0.1, axial=100.0, bending=0.8)
+        (tensor([100.,  50.]), tensor([0.8000, 0.4000]))
     """
     check_positive("lengths", check_tensor("lengths", lengths, (None,)))
     if rule == "series":

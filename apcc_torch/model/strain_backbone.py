@@ -80,7 +80,7 @@ class StrainBackbone(KinematicModel):
         self.rods = rods
         like = self.base_rotation
         h = 1.0 / rods
-        middles = torch.arange(rods, dtype=torch.float64).add(0.5).mul(h)
+        middles = torch.arange(rods, dtype=torch.float64, device="cpu").add(0.5).mul(h)
         first = basis.S_0.expand(rods, *basis.S_0.shape)
         second = None
         if basis.S_1 is not None:

@@ -20,6 +20,7 @@ from torch import Tensor
 from apcc_torch.lie import so3
 from apcc_torch.lie.stumpff import Stumpff, stumpff, stumpff_c7
 from apcc_torch.model.chain import flatten_columns, prefix_rotations
+from apcc_torch.modes import full_precision
 
 
 class Chosen(NamedTuple):
@@ -86,16 +87,19 @@ class StrainChain(NamedTuple):
             twists._replace(twist=twist, directions=directions, part=part), c, before, ends, rotation, spin, reach
         )
 
+    @full_precision
     def tip_jacobian(self) -> Tensor:
         """Linear velocity (..., 3, n) of the tip, in world axes, for unit rates of the coordinates."""
         return self._gathered(self._linear(self.spin, self.reach))
 
+    @full_precision
     def body_jacobian(self) -> Tensor:
         """Body twist (..., 6, n) of the tip for unit rates of the coordinates, rows angular then linear."""
         both = torch.cat((self.spin, self._linear(self.spin, self.reach)), dim=-1)
         angular, linear = (self.rotation.mT.unsqueeze(-3) @ both).split_with_sizes((both.shape[-1] // 2,) * 2, dim=-1)
         return self._gathered(torch.cat((angular, linear), dim=-2))
 
+    @full_precision
     def jacobian_rate(self, qdot: Tensor) -> Tensor:
         """Jdot (..., 3, n) of the tip along qdot (..., n)."""
         along = self._own_rates(qdot).unsqueeze(-1)

@@ -9,13 +9,14 @@ from __future__ import annotations
 from math import pi
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from apcc_torch.errors import ConfigError, ShapeError
+from apcc_torch.part import Part, hold_rows, refuse_parameter
 from apcc_torch.shapes import check_finite, check_positive, check_same, check_tensor
 
 
-class TendonRouting(nn.Module):
+class TendonRouting(Part):
     """Tendons parallel to the backbone, each fixed at its anchor's material abscissa.
 
     In the coupled layout a tendon runs from the arm's base to its anchor. In the independent layout it acts only from
@@ -33,6 +34,11 @@ class TendonRouting(nn.Module):
         ConfigError: `layout` is unknown.
         ShapeError: The four tensors differ in length.
         ValueRangeError: An offset or anchor is not positive.
+
+    Example:
+        >>> routing = TendonRouting(torch.tensor([0.0, pi]), torch.tensor([0.02, 0.02]), torch.tensor([0.2, 0.45]))
+        >>> routing.lengths(torch.tensor([0.5, 0.0, 0.0, 0.0, 0.0, 0.01]), torch.tensor([0.2, 0.25]))
+        tensor([-0.0100,  0.0200])
     """
 
     angles: Tensor
@@ -53,6 +59,7 @@ class TendonRouting(nn.Module):
         if starts is None:
             starts = torch.zeros_like(anchors)
             if layout == "independent":
+                refuse_parameter("anchors", anchors, "the starts are made of them once; hand in starts too")
                 smaller = torch.where(anchors.unsqueeze(-2) < anchors.unsqueeze(-1), anchors.unsqueeze(-2), 0.0)
                 starts = smaller.amax(-1)
         check_finite("starts", check_tensor("starts", starts, (n_a,)))
@@ -61,10 +68,7 @@ class TendonRouting(nn.Module):
             raise ShapeError(f"angles must have shape ({n_a},), got {tuple(angles.shape)}")
         self.layout = layout
         self.n_tendons = n_a
-        self.register_buffer("angles", angles)
-        self.register_buffer("offsets", offsets)
-        self.register_buffer("anchors", anchors)
-        self.register_buffer("starts", starts)
+        hold_rows(self, angles=(angles, 1), offsets=(offsets, 1), anchors=(anchors, 1), starts=(starts, 1))
 
     def limits(self, pi_hat: Tensor) -> tuple[Tensor, Tensor]:
         """Where in each section each tendon begins and ends: normalised abscissae (..., n_b, n_a), those of Eq. (46).
@@ -147,7 +151,14 @@ def rack_routing(
         per_rack: Tendons per rack, 360/per_rack degrees apart.
         twist: Rotation of each rack relative to the preceding one, rad.
         layout: "coupled" or "independent"; see `TendonRouting`.
+
+    Example:
+        >>> routing = rack_routing(torch.tensor([0.2, 0.45]), offset=0.02, per_rack=3)
+        >>> routing.n_tendons, routing.anchors
+        (6, tensor([0.2000, 0.2000, 0.2000, 0.4500, 0.4500, 0.4500]))
     """
+    refuse_parameter("racks", racks, "make a TendonRouting whose anchors are a Parameter")
+    refuse_parameter("offset", offset, "make a TendonRouting whose offsets are a Parameter")
     check_positive("racks", check_tensor("racks", racks, (None,)))
     dtype, device = racks.dtype, racks.device
     around = torch.arange(per_rack, dtype=dtype, device=device) * (2.0 * pi / per_rack)

@@ -1,1 +1,12 @@
 """Functions of tensors as machine code: traced once, written out as scalar arithmetic, built into a shared library."""
+
+from __future__ import annotations
+
+from apcc_torch.native.compiled import TorchStep, compiled
+from apcc_torch.native.function import NativeFunction
+
+__all__ = [
+    "NativeFunction",
+    "TorchStep",
+    "compiled",
+]

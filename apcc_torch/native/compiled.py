@@ -30,6 +30,10 @@ class TorchStep:
     Args:
         module: The step.
         inductor: Whether it goes through `torch.compile`, as one graph of fixed shapes.
+
+    Example:
+        >>> TorchStep(torch.nn.Tanh())(torch.tensor(1.0), repeats=3)
+        tensor(0.5663)
     """
 
     def __init__(self, module: nn.Module, inductor: bool = False) -> None:
@@ -61,6 +65,11 @@ def compiled(
 
     Raises:
         ValueRangeError: There is no such mode.
+
+    Example:
+        >>> step = compiled(torch.nn.Tanh(), (torch.tensor(0.0),), mode="off")
+        >>> step(torch.tensor([0.0, 1.0]))
+        tensor([0.0000, 0.7616])
     """
     if mode not in MODES:
         raise ValueRangeError(f"compile must be one of {', '.join(MODES)}, got {mode!r}")

@@ -65,6 +65,14 @@ class NativeFunction:
 
     Raises:
         CompileError: It cannot be compiled, or there is no compiler.
+
+    Example:
+        >>> pid = TendonPID(K_I=0.0, K_D=0.0)
+        >>> row = torch.zeros(3).double()
+        >>> fast = NativeFunction(pid, (row, row, row, row, row))
+        >>> still, y_d = torch.zeros(1000, 3).double(), torch.full((1000, 3), 0.001).double()
+        >>> fast(still, still, still, y_d, still)[0]
+        tensor([0.7500, 0.7500, 0.7500], dtype=torch.float64)
     """
 
     def __init__(

@@ -10,8 +10,8 @@ from pathlib import Path
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from apcc_torch.composition.realtime import RealtimeConfig
-from apcc_torch.composition.schema import typed
+from apcc_torch.composition.realtime import RealtimeSettings
+from apcc_torch.composition.schema import text, typed
 from apcc_torch.errors import ConfigError
 from apcc_torch.experiments import calibrate as arm_calibration
 from apcc_torch.experiments import realtime_run as realtime
@@ -37,19 +37,18 @@ def run(cfg: DictConfig, folder: Path) -> tuple[Outcome, dict[str, float]]:
         ConfigError, ValueRangeError, DataError: A setting has no meaning.
         HardwareError: The priority or memory that was asked for is refused.
     """
-    config = typed(cfg, RealtimeConfig)
-    settings = OmegaConf.to_yaml(cfg, resolve=True)
-    write_atomically(folder / realtime.CONFIG, settings)
-    if config.series.runs:
-        return series(cfg, config, folder)
-    if config.experiment.kind == arm_calibration.KIND:
-        return arm_calibration.run(config, folder)
-    return realtime.run(config, settings, folder)
+    settings = typed(cfg, RealtimeSettings)
+    write_atomically(folder / realtime.CONFIG, text(settings))
+    if settings.series.runs:
+        return series(cfg, settings, folder)
+    if settings.experiment.kind == arm_calibration.KIND:
+        return arm_calibration.run(settings, folder)
+    return realtime.run(settings, folder)
 
 
-def series(cfg: DictConfig, config: RealtimeConfig, folder: Path) -> tuple[Outcome, dict[str, float]]:
+def series(cfg: DictConfig, settings: RealtimeSettings, folder: Path) -> tuple[Outcome, dict[str, float]]:
     """Every run in a folder of its own, and then the study of those that came to their end."""
-    s = config.series
+    s = settings.series
     if s.study is not None:
         check_choice("series.study", s.study, tuple(STUDIES))
     names = list(s.runs) if s.only is None else s.only
@@ -65,11 +64,11 @@ def series(cfg: DictConfig, config: RealtimeConfig, folder: Path) -> tuple[Outco
         done.append(name)
     if outcome is None:
         raise ConfigError("series.only must name at least one run")
-    found = {} if s.study is None else STUDIES[s.study](folder, done, s.figures)
-    found["runs"] = float(len(done))
-    write_json(folder / "versions.json", {**versions(), "seed": config.seed})
-    write_json(folder / "metrics.json", found)
-    return replace(outcome, reason=StopReason.COMPLETED, message=f"{len(done)} runs are in {folder}"), found
+    metrics = {} if s.study is None else STUDIES[s.study](folder, done, s.figures)
+    metrics["runs"] = float(len(done))
+    write_json(folder / "versions.json", {**versions(), "seed": settings.seed})
+    write_json(folder / "metrics.json", metrics)
+    return replace(outcome, reason=StopReason.COMPLETED, message=f"{len(done)} runs are in {folder}"), metrics
 
 
 def _changed(cfg: DictConfig, overrides: Sequence[str]) -> DictConfig:

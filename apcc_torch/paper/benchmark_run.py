@@ -98,9 +98,9 @@ def simulate_all(pairs: Pairs, folder: Path, progress: bool, workers: int = 1) -
     found_all = _outcomes(tasks, workers)
     for index in progress_bar("benchmark, grids", progress)(range(len(jobs))):
         comparison, run, name = jobs[index]
-        found = next(found_all)
-        write_arrays(folder / "data" / f"{comparison}_{run}_{name}.npz", found.log._asdict())
-        whole[comparison][run][name] = found
+        outcome_of = next(found_all)
+        write_arrays(folder / "data" / f"{comparison}_{run}_{name}.npz", outcome_of.log._asdict())
+        whole[comparison][run][name] = outcome_of
     results: dict[str, Outcomes] = {}
     for comparison, runs in whole.items():
         extra: dict[str, dict[str, Outcome]] = {}

@@ -68,8 +68,8 @@ def outcome(config: SimulateSettings, adaptive: bool, label: str) -> Outcome:
     thin = thinned(log)
     c = curves(thin, arms)
     metrics = grid_metrics(c, thin.diverged_at)
-    found = limits(config, thin, arms)
-    return Outcome(thin, arms, c, metrics | {"wall_s": time.perf_counter() - started}, found)
+    best = limits(config, thin, arms)
+    return Outcome(thin, arms, c, metrics | {"wall_s": time.perf_counter() - started}, best)
 
 
 def held_out_rows(setpoints: int, payloads: int) -> list[int]:
@@ -92,7 +92,7 @@ def parts(run: str, both: Mapping[str, Outcome], config: SimulateSettings) -> di
     """
     e = config.experiment
     held_out = held_out_rows(len(e.setpoints or ()), len(e.payloads))
-    found = {run + SINGLE: {name: o.rows([single_row(e.payloads)]) for name, o in both.items()}}
+    best = {run + SINGLE: {name: o.rows([single_row(e.payloads)]) for name, o in both.items()}}
     if held_out:
-        found[run + HELD_OUT] = {name: o.rows(held_out) for name, o in both.items()}
-    return found
+        best[run + HELD_OUT] = {name: o.rows(held_out) for name, o in both.items()}
+    return best

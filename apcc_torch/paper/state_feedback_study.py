@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -11,7 +10,7 @@ import torch
 from torch import Tensor
 
 from apcc_torch.composition.build import Builder
-from apcc_torch.composition.realtime import RealtimeConfig, model_settings
+from apcc_torch.composition.realtime import RealtimeSettings
 from apcc_torch.errors import DataError
 from apcc_torch.estimation.sensor_curve import SensorCurve
 from apcc_torch.experiments.realtime_run import LOG, settings_of
@@ -37,7 +36,7 @@ class Motion(NamedTuple):
     orientation_ok: Tensor
 
 
-def motion(folder: Path) -> tuple[RealtimeConfig, Motion]:
+def motion(folder: Path) -> tuple[RealtimeSettings, Motion]:
     """A run's settings and what its sensors saw.
 
     Raises:
@@ -51,7 +50,7 @@ def motion(folder: Path) -> tuple[RealtimeConfig, Motion]:
     return settings_of(record), Motion(torch.tensor(rows["time"]), poses, *masks)
 
 
-def estimate(config: RealtimeConfig, seen: Motion) -> Estimates:
+def estimate(config: RealtimeSettings, seen: Motion) -> Estimates:
     """Algorithm 2 over a run, decoupled and not, from poses and from positions, each from its own last result.
 
     Raises:
@@ -59,12 +58,12 @@ def estimate(config: RealtimeConfig, seen: Motion) -> Estimates:
     """
     if config.ramp.estimate is None:
         raise DataError("ramp.estimate must be given in each run of experiment I")
-    cases = {"non-decoupled": config.robot.rest_lengths, "decoupled": config.ramp.estimate}
+    cases = {"non-decoupled": config.arm.lengths, "decoupled": config.ramp.estimate}
     pi_hat = torch.tensor(list(cases.values()), dtype=torch.float64)
-    found: Estimates = {}
+    outcome: Estimates = {}
     for mode in MODES:
-        feedback = replace(config.feedback, mode=mode)
-        build = Builder(model_settings(replace(config, feedback=feedback, dtype="float64")))
+        feedback = config.feedback.changed(mode=mode)
+        build = Builder(config.changed(feedback=feedback, dtype="float64"))
         algorithm, backbone = build.controller().feedback, build.backbone()
         q = torch.zeros(len(cases), backbone.n, dtype=torch.float64)
         results = []
@@ -78,8 +77,8 @@ def estimate(config: RealtimeConfig, seen: Motion) -> Estimates:
         angular = torch.stack([result.angular_error for result in results])
         linear = torch.stack([result.linear_error for result in results])
         for i, case in enumerate(cases):
-            found[case, mode] = Estimate(seen.time, points[:, i], seen.T[..., :3, 3], angular[:, i], linear[:, i])
-    return found
+            outcome[case, mode] = Estimate(seen.time, points[:, i], seen.T[..., :3, 3], angular[:, i], linear[:, i])
+    return outcome
 
 
 def study(folder: Path, runs: Sequence[str], figures: bool) -> dict[str, float]:
@@ -93,34 +92,34 @@ def study(folder: Path, runs: Sequence[str], figures: bool) -> dict[str, float]:
     Returns:
         Means over the runs, SI units in the names.
     """
-    found: dict[str, Estimates] = {}
+    outcome: dict[str, Estimates] = {}
     table: dict[str, object] = {}
     last: dict[str, tuple[Tensor, Tensor]] = {}
     for name in runs:
         config, seen = motion(folder / name)
-        found[name] = estimate(config, seen)
-        build = Builder(model_settings(config))
+        outcome[name] = estimate(config, seen)
+        build = Builder(config)
         curve = SensorCurve(build.base_rotation(), build.sensors_at(), samples=20)
         last[name] = curve(seen.T[-1]), seen.T[-1, :, :3, 3]
         table[name] = {
             "goal_m": config.ramp.goal,
-            "pi_m": config.robot.rest_lengths,
+            "pi_m": config.arm.lengths,
             "pi_hat_m": config.ramp.estimate,
-            **{f"{case}, {mode}": numbers(e) for (case, mode), e in found[name].items()},
+            **{f"{case}, {mode}": numbers(e) for (case, mode), e in outcome[name].items()},
         }
     write_json(folder / "table.json", table)
-    write_atomically(folder / "table.txt", text(found))
+    write_atomically(folder / "table.txt", text(outcome))
     if figures:
         drawn = {
-            STROBOSCOPIC[name]: four_panel_figure(found[name], MOMENTS, name) for name in runs if name in STROBOSCOPIC
+            STROBOSCOPIC[name]: four_panel_figure(outcome[name], MOMENTS, name) for name in runs if name in STROBOSCOPIC
         }
         drawn["fig_25.png"] = final_figure({name: last[name] for name in runs if name in STROBOSCOPIC} or last)
-        drawn["fig_26.png"] = norm_figure(list(found.values()))
+        drawn["fig_26.png"] = norm_figure(list(outcome.values()))
         save_figures(drawn, folder / "figures")
-    keys = next(iter(found.values())).keys()
+    keys = next(iter(outcome.values())).keys()
     metrics: dict[str, float] = {}
     for case, mode in keys:
-        for name, value in _mean([numbers(e[case, mode]) for e in found.values()]).items():
+        for name, value in _mean([numbers(e[case, mode]) for e in outcome.values()]).items():
             metrics[f"{case.replace('-', '_')}_{mode}_{name}"] = value
     return metrics
 
@@ -139,11 +138,11 @@ def _mean(rows: Sequence[dict[str, float]]) -> dict[str, float]:
     return {name: sum(row[name] for row in rows) / len(rows) for name in rows[0]}
 
 
-def text(found: dict[str, Estimates]) -> str:
+def text(outcome: dict[str, Estimates]) -> str:
     """The table as text: sensor errors at the end of each run, mm and rad."""
-    keys = list(next(iter(found.values())))
+    keys = list(next(iter(outcome.values())))
     lines = [["run", *(f"{case}, {mode}" for case, mode in keys)]]
-    for name, estimates in found.items():
+    for name, estimates in outcome.items():
         ends = [numbers(estimates[key]) for key in keys]
         lines.append([name, *(f"{n['linear_end_mm']:.2f} mm {n['angular_end_rad']:.4f} rad" for n in ends)])
     widths = [max(len(line[i]) for line in lines) for i in range(len(lines[0]))]

@@ -1,1 +1,23 @@
 """Recordings of real arms: reading, calibration from the rest pose, replay."""
+
+from __future__ import annotations
+
+from apcc_torch.recordings.recorded_arm import recorded_arm
+from apcc_torch.recordings.recording import Recording, detect_layout, load_recording, save_recording
+from apcc_torch.recordings.replay import held_out_error, replay
+from apcc_torch.recordings.replay_log import read_replay, replay_metrics, write_replay
+from apcc_torch.recordings.rest_pose import calibrate
+
+__all__ = [
+    "Recording",
+    "calibrate",
+    "detect_layout",
+    "held_out_error",
+    "load_recording",
+    "read_replay",
+    "recorded_arm",
+    "replay",
+    "replay_metrics",
+    "save_recording",
+    "write_replay",
+]

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from apcc_torch.estimation.rest_calibration import Calibration
+from apcc_torch.estimation.rest_calibration import RestCalibration
 from apcc_torch.estimation.sensor_gate import GateState, GateVerdict, SensorGate
 from apcc_torch.estimation.state_feedback import StateFeedback
 from apcc_torch.model.backbone import PCCBackbone
@@ -26,7 +26,7 @@ where the sections' delta L cease to follow their bends: with the base above the
 class RecordedArm(NamedTuple):
     """What a recording needs to be replayed."""
 
-    calibration: Calibration
+    calibration: RestCalibration
     feedback: StateFeedback
     gate: SensorGate
 
@@ -43,8 +43,7 @@ def recorded_arm(
 
     One section ends at each body, so rest lengths are the spacing of the bodies at rest. The estimator settles at
     1e-5 (rad, m), far below what a camera resolves, and may take 12 steps: real bodies are never fitted to the
-    thresholds, so every frame runs until it settles. The gate's limits are its own defaults with a reach of 1.5 times
-    each body's abscissa.
+    thresholds, so every frame runs until it settles. The gate's limits are its own defaults.
 
     Args:
         recording: The recording.
@@ -57,13 +56,21 @@ def recorded_arm(
 
     Raises:
         ApccError: As `calibrate` and `StateFeedback`.
+
+    Example:
+        >>> place = torch.tensor([[0.0, 0.0, -0.2], [0.0, 0.0, -0.45]]).double().expand(50, 2, 3)
+        >>> turn = torch.tensor([1.0, 0.0, 0.0, 0.0]).double().expand(50, 2, 4)
+        >>> still = Recording(("middle", "tip"), torch.arange(50).double() / 100, place, turn, torch.ones(50, 2).bool())
+        >>> arm = recorded_arm(still, direction=None, rest=50, base_position=[0.0, 0.0, 0.0])
+        >>> arm.calibration.rest_lengths
+        tensor([0.2000, 0.2500], dtype=torch.float64)
     """
     calibration = calibrate(recording, rest=rest, direction=direction, base_position=base_position)
     abscissae = calibration.abscissae
     feedback = StateFeedback(
         PCCBackbone(len(abscissae)), abscissae, mode, angular_weight, max_iterations=12, settled_step=1e-5
     )
-    return RecordedArm(calibration, feedback, SensorGate(len(abscissae), max_reach=(1.5 * abscissae).tolist()))
+    return RecordedArm(calibration, feedback, SensorGate(abscissae))
 
 
 def gate_frames(gate: SensorGate, T: Tensor, tracked: Tensor, times: Tensor) -> tuple[Tensor, GateVerdict]:

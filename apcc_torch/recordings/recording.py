@@ -54,6 +54,13 @@ class Recording:
         actuators: What the actuators measured, shape (T, m), in their own unit.
         target: Target of the tip in m, shape (T, 3).
         source: The file it came from.
+
+    Example:
+        >>> place = torch.tensor([[0.0, 0.0, -0.2], [0.0, 0.0, -0.45]]).double().expand(50, 2, 3)
+        >>> turn = torch.tensor([1.0, 0.0, 0.0, 0.0]).double().expand(50, 2, 4)
+        >>> still = Recording(("middle", "tip"), torch.arange(50).double() / 100, place, turn, torch.ones(50, 2).bool())
+        >>> len(still), still.rotation[0, 1].diagonal()
+        (50, tensor([ 1., -1., -1.], dtype=torch.float64))
     """
 
     names: tuple[str, ...]
@@ -140,10 +147,10 @@ def _load_columns(path: Path, rate: float) -> Recording:
 
 
 def _load_trunk(path: Path, rate: float) -> Recording:
-    found = sorted(path.glob("observations_*.csv")) if path.is_dir() else [path]
-    if len(found) != 1:
-        raise DataError(f"{path}: holds {len(found)} files observations_*.csv where one is wanted")
-    table = read_table(found[0])
+    result = sorted(path.glob("observations_*.csv")) if path.is_dir() else [path]
+    if len(result) != 1:
+        raise DataError(f"{path}: holds {len(result)} files observations_*.csv where one is wanted")
+    table = read_table(result[0])
     bodies = range(1, len(table.numbered("x")) + 1)
     if not bodies:
         raise table.fault("the column is missing", "x1")
@@ -154,13 +161,13 @@ def _load_trunk(path: Path, rate: float) -> Recording:
     everywhere = torch.ones(len(ids), dtype=torch.bool)
     poses = [_pose(table, [f"{part}{i}" for part in (*_POSE[:6], "w")], everywhere) for i in bodies]
     actuators, inputs, T = table.optional(table.numbered("phi")), None, len(ids)
-    sent = found[0].with_name(found[0].name.replace("observations_", "control_inputs_", 1))
-    if sent != found[0] and sent.is_file():
+    sent = result[0].with_name(result[0].name.replace("observations_", "control_inputs_", 1))
+    if sent != result[0] and sent.is_file():
         commands = read_table(sent)
         inputs = commands.finite(commands.numbered("u") or ["u1"])
         T = len(inputs)
         if len(ids) not in (T, T + 1):
-            raise commands.fault(f"holds {T} data lines where {found[0].name} holds {len(ids)}", "ID", T - 1)
+            raise commands.fault(f"holds {T} data lines where {result[0].name} holds {len(ids)}", "ID", T - 1)
     return Recording(
         tuple(f"disk{i}" for i in bodies),
         torch.arange(T, dtype=torch.float64) / rate,
@@ -169,7 +176,7 @@ def _load_trunk(path: Path, rate: float) -> Recording:
         torch.ones(T, len(bodies), dtype=torch.bool),
         inputs,
         actuators if actuators is None else actuators[:T],
-        source=str(found[0]),
+        source=str(result[0]),
     )
 
 
@@ -177,9 +184,14 @@ LAYOUTS: dict[str, Callable[[Path, float], Recording]] = {"columns": _load_colum
 
 
 def detect_layout(path: str | Path) -> str:
-    """ "trunk" for a trunk-stack file, or a folder that holds one; else "columns"."""
+    """ "trunk" for a trunk-stack file, or a folder that holds one; else "columns".
+
+    Example:
+        >>> detect_layout("run/observations_1.csv"), detect_layout("run/arm.csv")
+        ('trunk', 'columns')
+    """
     path = Path(path)
-    names = [path.name, *(found.name for found in path.glob("observations_*.csv"))]
+    names = [path.name, *(result.name for result in path.glob("observations_*.csv"))]
     return "trunk" if any(name.startswith("observations_") for name in names) else "columns"
 
 
@@ -194,6 +206,15 @@ def load_recording(path: str | Path, layout: str = "columns", rate: float = 100.
     Raises:
         ConfigError: `layout` or `rate` is not one there is.
         DataError: A file is missing or not in the layout; the sentence names the file, the column and the line.
+
+    Example:
+        >>> place = torch.tensor([[0.0, 0.0, -0.2], [0.0, 0.0, -0.45]]).double().expand(50, 2, 3)
+        >>> turn = torch.tensor([1.0, 0.0, 0.0, 0.0]).double().expand(50, 2, 4)
+        >>> still = Recording(("middle", "tip"), torch.arange(50).double() / 100, place, turn, torch.ones(50, 2).bool())
+        >>> with TemporaryDirectory() as folder:
+        ...     save_recording(still, Path(folder) / "still.csv")
+        ...     load_recording(Path(folder) / "still.csv").names
+        ('middle', 'tip')
     """
     if layout not in LAYOUTS:
         raise ConfigError(f"layout must be one of {', '.join(LAYOUTS)}, got {layout!r}")
@@ -211,6 +232,15 @@ def save_recording(recording: Recording, path: str | Path) -> None:
 
     Raises:
         DataError: A number is not finite, other than in the pose of a body that was not tracked.
+
+    Example:
+        >>> place = torch.tensor([[0.0, 0.0, -0.2], [0.0, 0.0, -0.45]]).double().expand(50, 2, 3)
+        >>> turn = torch.tensor([1.0, 0.0, 0.0, 0.0]).double().expand(50, 2, 4)
+        >>> still = Recording(("middle", "tip"), torch.arange(50).double() / 100, place, turn, torch.ones(50, 2).bool())
+        >>> with TemporaryDirectory() as folder:
+        ...     save_recording(still, Path(folder) / "still.csv")
+        ...     load_recording(Path(folder) / "still.csv").names
+        ('middle', 'tip')
     """
     pose = torch.cat((recording.position, recording.quaternion), dim=-1)
     bad = (~pose.isfinite().all(-1) & recording.tracked).nonzero()

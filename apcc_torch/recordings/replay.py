@@ -11,7 +11,7 @@ from apcc_torch.control.controller import APCCController
 from apcc_torch.control.step_io import Measurement, Target
 from apcc_torch.errors import ConfigError, DataError, ShapeError, ValueRangeError
 from apcc_torch.estimation.feedback import Feedback
-from apcc_torch.estimation.rest_calibration import Calibration
+from apcc_torch.estimation.rest_calibration import RestCalibration
 from apcc_torch.estimation.savitzky_golay import SavitzkyGolay, SavitzkyGolayState
 from apcc_torch.estimation.sensor_gate import GateVerdict, SensorGate
 from apcc_torch.estimation.state_feedback import StateFeedback
@@ -40,7 +40,7 @@ class _Frames(NamedTuple):
 
 def _frames(
     recording: Recording,
-    calibration: Calibration,
+    calibration: RestCalibration,
     feedback: StateFeedback,
     gate: SensorGate,
     frames: slice,
@@ -73,7 +73,7 @@ def _frames(
 
 def replay(
     recording: Recording,
-    calibration: Calibration,
+    calibration: RestCalibration,
     estimator: StateFeedback | APCCController,
     gate: SensorGate,
     pi_hat: Tensor | None = None,
@@ -113,6 +113,15 @@ def replay(
         ShapeError, DtypeError: Arguments do not fit each other.
         ConfigError: `parallel` is asked of a controller, or it adapts and the recording has no target.
         DataError: The recording has no frames, none of use, or bodies that are not the calibration's.
+
+    Example:
+        >>> place = torch.tensor([[0.0, 0.0, -0.2], [0.0, 0.0, -0.45]]).double().expand(50, 2, 3)
+        >>> turn = torch.tensor([1.0, 0.0, 0.0, 0.0]).double().expand(50, 2, 4)
+        >>> still = Recording(("middle", "tip"), torch.arange(50).double() / 100, place, turn, torch.ones(50, 2).bool())
+        >>> arm = recorded_arm(still, direction=None, rest=50, base_position=[0.0, 0.0, 0.0])
+        >>> log = replay(still, arm.calibration, arm.feedback, arm.gate)
+        >>> log.q_bar.shape, bool((log.status == FeedbackStatus.CONVERGED).all())
+        (torch.Size([50, 6]), True)
     """
     controller: APCCController | None = None
     if isinstance(estimator, StateFeedback):
@@ -141,13 +150,15 @@ def replay(
         x_d = _target(recording.target, recording, calibration, backbone, frames, pi_hat)
         return _run(controller, q, pi_hat, gated, shown, oriented, x_d, progress)
     estimate = _sweep if parallel else _follow
-    found = estimate(feedback, q, pi_hat, gated.T, shown, oriented, progress)
+    result = estimate(feedback, q, pi_hat, gated.T, shown, oriented, progress)
     smooth = SavitzkyGolay(window=15, order=2) if velocity_filter is None else velocity_filter
-    qdot_bar = _derivative(smooth, found.q_bar, gated.time)
-    tip = backbone.tip(found.q_bar, pi_hat)
+    qdot_bar = _derivative(smooth, result.q_bar, gated.time)
+    tip = backbone.tip(result.q_bar, pi_hat)
     pi_hat = pi_hat.expand(len(tip), *pi_hat.shape)
     codes = (gated.verdict.position_reason, gated.verdict.orientation_reason)
-    return ReplayLog(gated.time, gated.T, found.q_bar, qdot_bar, pi_hat, *found[1:], *codes, tip, torch.zeros_like(tip))
+    return ReplayLog(
+        gated.time, gated.T, result.q_bar, qdot_bar, pi_hat, *result[1:], *codes, tip, torch.zeros_like(tip)
+    )
 
 
 def _follow(
@@ -156,9 +167,9 @@ def _follow(
     """Algorithm 2 frame by frame."""
     rows = []
     for i in progress(range(len(T))):
-        found = feedback(q, pi_hat, T[i], shown[i], oriented[i])
-        q = found.q_bar
-        rows.append(found)
+        result = feedback(q, pi_hat, T[i], shown[i], oriented[i])
+        q = result.q_bar
+        rows.append(result)
     return Feedback(*(torch.stack(column) for column in zip(*rows, strict=True)))
 
 
@@ -175,28 +186,28 @@ def _sweep(
     for start in progress(range(0, len(T), _BLOCK)):
         part = [values[start : start + _BLOCK] for values in (T, shown, oriented)]
         seed = q.expand(len(part[0]), *q.shape)
-        found: Feedback = feedback(seed, pi_hat, *part)
+        result: Feedback = feedback(seed, pi_hat, *part)
         for _ in range(_BLOCK):
-            wanted = torch.cat((q.unsqueeze(0), found.q_bar[:-1]))
+            wanted = torch.cat((q.unsqueeze(0), result.q_bar[:-1]))
             index = ((wanted - seed).abs().flatten(1).amax(-1) > feedback.settled_step).nonzero().squeeze(-1)
             if not len(index):
                 break
             anew = feedback(wanted[index], pi_hat, *(values[index] for values in part))
             seed = seed.index_copy(0, index, wanted[index])
-            found = Feedback(*(old.index_copy(0, index, new) for old, new in zip(found, anew, strict=True)))
-        q = found.q_bar[-1]
-        blocks.append(found)
+            result = Feedback(*(old.index_copy(0, index, new) for old, new in zip(result, anew, strict=True)))
+        q = result.q_bar[-1]
+        blocks.append(result)
     return Feedback(*(torch.cat(column) for column in zip(*blocks, strict=True)))
 
 
 def _derivative(smooth: SavitzkyGolay, q_bar: Tensor, time: Tensor) -> Tensor:
     """What the filter would have returned frame by frame, (N, ..., n)."""
     first = smooth.initial_state(q_bar[0], time[0])
-    samples = torch.cat((first.samples.movedim(-2, 0)[1:], q_bar)).unfold(0, smooth.window, 1)  # (N, ..., n, window)
-    missing = torch.zeros(smooth.window - 1, dtype=torch.bool, device=time.device)
-    stamps = torch.cat((time[:1].expand(smooth.window - 1), time)).unfold(0, smooth.window, 1)
-    valid = torch.cat((missing, torch.ones_like(time, dtype=torch.bool))).unfold(0, smooth.window, 1)
-    per_frame = (len(time), *[1] * (q_bar.dim() - 2), smooth.window)
+    samples = torch.cat((first.samples.movedim(-2, 0)[1:], q_bar)).unfold(0, smooth.length, 1)  # (N, ..., n, window)
+    missing = torch.zeros(smooth.length - 1, dtype=torch.bool, device=time.device)
+    stamps = torch.cat((time[:1].expand(smooth.length - 1), time)).unfold(0, smooth.length, 1)
+    valid = torch.cat((missing, torch.ones_like(time, dtype=torch.bool))).unfold(0, smooth.length, 1)
+    per_frame = (len(time), *[1] * (q_bar.dim() - 2), smooth.length)
     state = SavitzkyGolayState(samples.mT, stamps.reshape(per_frame), valid.reshape(per_frame))
     return smooth.evaluate(state).derivative
 
@@ -204,7 +215,7 @@ def _derivative(smooth: SavitzkyGolay, q_bar: Tensor, time: Tensor) -> Tensor:
 def _target(
     position: Tensor,
     recording: Recording,
-    calibration: Calibration,
+    calibration: RestCalibration,
     backbone: KinematicModel,
     frames: slice,
     like: Tensor,
@@ -244,7 +255,7 @@ def _run(
 
 def held_out_error(
     recording: Recording,
-    calibration: Calibration,
+    calibration: RestCalibration,
     feedback: StateFeedback,
     gate: SensorGate,
     frames: slice = slice(None),
@@ -266,6 +277,15 @@ def held_out_error(
     Raises:
         ValueRangeError: There is a single sensor.
         ApccError: As `replay`.
+
+    Example:
+        >>> place = torch.tensor([[0.0, 0.0, -0.2], [0.0, 0.0, -0.45]]).double().expand(50, 2, 3)
+        >>> turn = torch.tensor([1.0, 0.0, 0.0, 0.0]).double().expand(50, 2, 4)
+        >>> still = Recording(("middle", "tip"), torch.arange(50).double() / 100, place, turn, torch.ones(50, 2).bool())
+        >>> arm = recorded_arm(still, direction=None, rest=50, base_position=[0.0, 0.0, 0.0])
+        >>> errors = held_out_error(still, arm.calibration, arm.feedback, arm.gate)
+        >>> bool(errors.linear.nanmean() < 1e-4)
+        True
     """
     X = calibration.abscissae
     k = len(X)

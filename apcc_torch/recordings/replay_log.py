@@ -111,38 +111,47 @@ def replay_metrics(
 
     Raises:
         ShapeError: The log has more than one row, or `names` is not one a sensor.
+
+    Example:
+        >>> place = torch.tensor([[0.0, 0.0, -0.2], [0.0, 0.0, -0.45]]).double().expand(50, 2, 3)
+        >>> turn = torch.tensor([1.0, 0.0, 0.0, 0.0]).double().expand(50, 2, 4)
+        >>> still = Recording(("middle", "tip"), torch.arange(50).double() / 100, place, turn, torch.ones(50, 2).bool())
+        >>> arm = recorded_arm(still, direction=None, rest=50, base_position=[0.0, 0.0, 0.0])
+        >>> log = replay(still, arm.calibration, arm.feedback, arm.gate)
+        >>> replay_metrics(log, still.names, arm.feedback)["converged_frames"]
+        50
     """
     if log.q_bar.dim() != 2:
         raise ShapeError(f"log must have a single row, q_bar of shape (N, n), got {tuple(log.q_bar.shape)}")
     if len(names) != log.position_reason.shape[-1]:
         raise ShapeError(f"names must have {log.position_reason.shape[-1]} entries, got {len(names)}")
-    found: dict[str, float] = {"frames": len(log.time)}
+    metrics: dict[str, float] = {"frames": len(log.time)}
     for status in FeedbackStatus:
-        found[f"{status.name.lower()}_frames"] = int((log.status == int(status)).sum())
-    found["iterations_mean"] = float(log.iterations.to(torch.float64).mean())
+        metrics[f"{status.name.lower()}_frames"] = int((log.status == int(status)).sum())
+    metrics["iterations_mean"] = float(log.iterations.to(torch.float64).mean())
     errors = sensor_errors(log, feedback)
     for what, unit, factor, values in (("linear", "mm", 1e3, errors.linear), ("angular", "rad", 1.0, errors.angular)):
-        found[f"sensor_error_{what}_mean_{unit}"] = factor * _mean(values)
-        found[f"sensor_error_{what}_max_{unit}"] = factor * _max(values)
+        metrics[f"sensor_error_{what}_mean_{unit}"] = factor * _mean(values)
+        metrics[f"sensor_error_{what}_max_{unit}"] = factor * _max(values)
         for i, name in enumerate(names):
-            found[f"sensor_error_{what}_mean_{unit}_{name}"] = factor * _mean(values[:, i])
+            metrics[f"sensor_error_{what}_mean_{unit}_{name}"] = factor * _mean(values[:, i])
     for i, name in enumerate(names):
-        found[f"gated_position_frames_{name}"] = int((log.position_reason[:, i] != int(Reason.OK)).sum())
-        found[f"gated_orientation_frames_{name}"] = int((log.orientation_reason[:, i] != int(Reason.OK)).sum())
+        metrics[f"gated_position_frames_{name}"] = int((log.position_reason[:, i] != int(Reason.OK)).sum())
+        metrics[f"gated_orientation_frames_{name}"] = int((log.orientation_reason[:, i] != int(Reason.OK)).sum())
         for reason in list(Reason)[1:]:
             for what, codes in (("position", log.position_reason), ("orientation", log.orientation_reason)):
                 count = int((codes[:, i] == int(reason)).sum())
                 if count:
-                    found[f"gated_{what}_frames_{name}_{reason.name.lower()}"] = count
+                    metrics[f"gated_{what}_frames_{name}_{reason.name.lower()}"] = count
         if held_out is not None and i < held_out.linear.shape[-1]:
-            found[f"held_out_error_linear_mean_mm_{name}"] = 1e3 * _mean(held_out.linear[:, i])
-            found[f"held_out_error_angular_mean_rad_{name}"] = _mean(held_out.angular[:, i])
+            metrics[f"held_out_error_linear_mean_mm_{name}"] = 1e3 * _mean(held_out.linear[:, i])
+            metrics[f"held_out_error_angular_mean_rad_{name}"] = _mean(held_out.angular[:, i])
     coordinates = feedback.backbone.coordinates
-    found["elongation_max_mm"] = 1e3 * float(log.q_bar[:, coordinates.elongations].abs().max())
-    found["bend_max_rad"] = float(coordinates.bends(log.q_bar).norm(dim=-1).max())
+    metrics["elongation_max_mm"] = 1e3 * float(log.q_bar[:, coordinates.elongations].abs().max())
+    metrics["bend_max_rad"] = float(coordinates.bends(log.q_bar).norm(dim=-1).max())
     if bool(log.e.any()):
-        found["end_effector_error_mean_mm"] = 1e3 * _mean(log.e.norm(dim=-1))
-    return found
+        metrics["end_effector_error_mean_mm"] = 1e3 * _mean(log.e.norm(dim=-1))
+    return metrics
 
 
 def write_replay(folder: str | Path, log: ReplayLog) -> Path:
@@ -154,6 +163,16 @@ def write_replay(folder: str | Path, log: ReplayLog) -> Path:
 
     Returns:
         The file.
+
+    Example:
+        >>> place = torch.tensor([[0.0, 0.0, -0.2], [0.0, 0.0, -0.45]]).double().expand(50, 2, 3)
+        >>> turn = torch.tensor([1.0, 0.0, 0.0, 0.0]).double().expand(50, 2, 4)
+        >>> still = Recording(("middle", "tip"), torch.arange(50).double() / 100, place, turn, torch.ones(50, 2).bool())
+        >>> arm = recorded_arm(still, direction=None, rest=50, base_position=[0.0, 0.0, 0.0])
+        >>> log = replay(still, arm.calibration, arm.feedback, arm.gate)
+        >>> with TemporaryDirectory() as folder:
+        ...     read_replay(write_replay(folder, log).parent).q_bar.equal(log.q_bar)
+        True
     """
     return write_arrays(Path(folder) / "replay.npz", log._asdict())
 
@@ -163,6 +182,16 @@ def read_replay(folder: str | Path) -> ReplayLog:
 
     Raises:
         DataError: The file is missing, damaged, or lacks a field.
+
+    Example:
+        >>> place = torch.tensor([[0.0, 0.0, -0.2], [0.0, 0.0, -0.45]]).double().expand(50, 2, 3)
+        >>> turn = torch.tensor([1.0, 0.0, 0.0, 0.0]).double().expand(50, 2, 4)
+        >>> still = Recording(("middle", "tip"), torch.arange(50).double() / 100, place, turn, torch.ones(50, 2).bool())
+        >>> arm = recorded_arm(still, direction=None, rest=50, base_position=[0.0, 0.0, 0.0])
+        >>> log = replay(still, arm.calibration, arm.feedback, arm.gate)
+        >>> with TemporaryDirectory() as folder:
+        ...     read_replay(write_replay(folder, log).parent).q_bar.equal(log.q_bar)
+        True
     """
     path = Path(folder) / "replay.npz"
     try:

@@ -8,12 +8,13 @@ transform from the sensor's own frame to the model's frame at the sensor's absci
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import torch
 from torch import Tensor
 
 from apcc_torch.errors import DataError, ValueRangeError
-from apcc_torch.estimation.rest_calibration import Calibration
+from apcc_torch.estimation.rest_calibration import RestCalibration
 from apcc_torch.lie.rotations import chordal_mean, rotation_angle
 from apcc_torch.recordings.recording import Recording
 from apcc_torch.shapes import check_finite, check_positive, check_tensor
@@ -21,7 +22,7 @@ from apcc_torch.shapes import check_finite, check_positive, check_tensor
 _MOVED = 1e-3  # inputs count as moved when one leaves its first value by this share of its range
 
 
-def poses_of(calibration: Calibration, recording: Recording) -> Tensor:
+def poses_of(calibration: RestCalibration, recording: Recording) -> Tensor:
     """The recording's poses in the base frame, shape (T, k, 4, 4); untracked ones may be NaN.
 
     Raises:
@@ -79,7 +80,7 @@ def calibrate(
     base_position: Sequence[float] | Tensor | None = None,
     first_abscissa: float | None = None,
     offsets: bool = True,
-) -> Calibration:
+) -> RestCalibration:
     """Calibrates a recording from the frames in which the arm hangs at rest, straight.
 
     The rest position of a sensor is the median over the frames, its rest rotation their trimmed chordal mean.
@@ -101,6 +102,13 @@ def calibrate(
     Raises:
         ValueRangeError: An argument is out of its range, or needed and not given.
         DataError: A sensor was never tracked at rest, or the sensors are not in order along the arm.
+
+    Example:
+        >>> place = torch.tensor([[0.0, 0.0, -0.2], [0.0, 0.0, -0.45]]).double().expand(50, 2, 3)
+        >>> turn = torch.tensor([1.0, 0.0, 0.0, 0.0]).double().expand(50, 2, 4)
+        >>> still = Recording(("middle", "tip"), torch.arange(50).double() / 100, place, turn, torch.ones(50, 2).bool())
+        >>> calibrate(still, rest=50, base_position=[0.0, 0.0, 0.0]).abscissae
+        tensor([0.2000, 0.4500], dtype=torch.float64)
     """
     count = rest_frame_count(recording) if rest is None else rest
     if not 1 <= count <= len(recording):
@@ -133,10 +141,9 @@ def calibrate(
         first = float(along.diff().mean()) if first_abscissa is None else first_abscissa
         centre = P.mean(0)
         base = centre + (along[0] - first - centre @ z) * z
-    abscissae = along - base @ z
-    if not bool((abscissae > 0).all()):
+    rest_pose = RestCalibration.at_rest(recording.names, base, _base_axes(z, forward), P, R_rest)
+    if not bool((rest_pose.abscissae > 0).all()):
         raise ValueRangeError("base_position must lie before the first sensor along the arm")
-    axes = _base_axes(z, forward)
-    beside = base + abscissae.unsqueeze(-1) * z - P
-    offset = (R_rest.mT @ beside.unsqueeze(-1)).squeeze(-1) if offsets else torch.zeros_like(P)
-    return Calibration(recording.names, base, axes, R_rest.mT @ axes, offset, abscissae, count, max(far), max(wide))
+    if not offsets:
+        rest_pose = replace(rest_pose, mount_offset=torch.zeros_like(P))
+    return replace(rest_pose, rest_frames=count, rest_scatter_m=max(far), rest_scatter_rad=max(wide))

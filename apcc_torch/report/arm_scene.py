@@ -16,9 +16,6 @@ from apcc_torch.report.backbone_drawing import draw_base, draw_markers, draw_tar
 from apcc_torch.report.space import Box, Space
 from apcc_torch.report.style import values
 
-REACH = Box(np.array((-0.45, -0.45, -0.8)), np.array((0.45, 0.45, 0.02)))
-"""What is shown, m: all that the arm of the environments reaches."""
-
 INCHES, PIXELS_PER_INCH = (5.0, 5.0), 100
 
 
@@ -33,13 +30,20 @@ class Arm(Protocol):
 
 
 class ArmScene:
-    """Draws one arm after the other on the same axes."""
+    """Draws one arm after the other on the same axes.
 
-    def __init__(self) -> None:
+    Args:
+        length: Of the arm, m: all that it reaches is shown.
+        upward: Whether it stands; else it hangs.
+    """
+
+    def __init__(self, length: float = 0.6, upward: bool = False) -> None:
+        down, up = (-1.0 / 30.0, 4.0 / 3.0) if upward else (-4.0 / 3.0, 1.0 / 30.0)
+        box = Box(length * np.array((-0.75, -0.75, down)), length * np.array((0.75, 0.75, up)))
         self.figure = style.new_figure(*INCHES, constrained=False)
         self.figure.set_dpi(PIXELS_PER_INCH)
         self.canvas = FigureCanvasAgg(self.figure)
-        self.space = Space(self.figure.add_axes((0.0, 0.0, 0.96, 0.94)), REACH)
+        self.space = Space(self.figure.add_axes((0.0, 0.0, 0.96, 0.94)), box)
         draw_base(self.space)
         self.title = self.figure.text(0.03, 0.955, "", fontsize=11, color=style.INK)
         self.moving: list[Any] = []

@@ -1,4 +1,4 @@
-"""Figure of what a law of the dynamics made of the arm: its estimates over time, beside the truth where it is known."""
+"""Figure of the parameters that a law of the dynamics estimates, over time, beside the truth where it is known."""
 
 from __future__ import annotations
 

@@ -71,13 +71,12 @@ class RunTable:
 def tidy(runs: Sequence[Run]) -> RunTable:
     """The table of the runs: run, status, swept keys, metrics, wall time, note."""
     own = list(dict.fromkeys(key for run in runs for key in run.own))
-    settings = [run.settings for run in runs]
-    keys = swept_keys(settings, [run.overrides for run in runs], own)
+    keys = swept_keys([run.settings for run in runs], [run.overrides for run in runs], own)
     metrics = dict.fromkeys(name for run in runs for name in run.metrics if name != WALL)
     columns = [
         _words("run", [run.name for run in runs]),
         _words("status", [run.status for run in runs]),
-        *(_key(key_label(key, settings), [_setting(run, key) for run in runs]) for key in keys),
+        *(_key(key, [_setting(run, key) for run in runs]) for key in keys),
         *(_metric(name, runs) for name in metrics),
         _metric(WALL, runs),
         _words("note", [run.note for run in runs]),
@@ -93,7 +92,7 @@ def _setting(run: Run, key: str) -> object:
     return run.settings[key] if key in run.settings else run.overrides.get(key)
 
 
-def _key(label: Label, values: list[object]) -> Column:
+def _key(key: str, values: list[object]) -> Column:
     """A column of numbers where every value is one, else of texts."""
     given = [value for value in values if value is not None]
     number = bool(given) and all(isinstance(value, int | float) and not isinstance(value, bool) for value in given)
@@ -104,7 +103,7 @@ def _key(label: Label, values: list[object]) -> Column:
         cells = [None if value is None else int(value) for value in values]  # type: ignore[call-overload]
     else:
         cells = [None if value is None else float(value) for value in values]  # type: ignore[arg-type]
-    return Column(label.words, KEY, label, cells, number)
+    return Column(key, KEY, key_label(key), cells, number)
 
 
 def _metric(name: str, runs: Sequence[Run]) -> Column:

@@ -2,20 +2,35 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import fields
-from typing import NamedTuple
+from collections.abc import Iterator
+from functools import cache
+from typing import Any, NamedTuple
 
-from apcc_torch.classes import Trust, class_named
+from apcc_torch.composition.help import rows
 from apcc_torch.composition.run_settings import SimulateSettings
-from apcc_torch.errors import ConfigError
-from apcc_torch.reading import nested_in
-from apcc_torch.settings import Settings, about_of
+from apcc_torch.settings import about_of, keys
 
 METRIC_UNITS = {"mm": "mm", "cm": "cm", "m": "m", "s": "s", "rad": "rad", "kg": "kg", "g": "g", "hz": "Hz"} | {
     "n": "N", "nm2": "N m²", "nspm": "N s/m"
 }  # fmt: skip
 """The last part of a metric's name -> its unit."""
+
+
+@cache
+def key_units() -> dict[str, str]:
+    """Configuration key -> unit, as the settings themselves tell it; of parts named by class, those of every class."""
+    units = {row.key: row.unit for row in rows(SimulateSettings)}
+    for each in keys(SimulateSettings):
+        base = about_of(each).base
+        for part in [] if base is None else _subclasses(base):
+            units |= {row.key: row.unit for row in rows(part.settings_type, f"{each.name}.")}
+    return units
+
+
+def _subclasses(base: Any) -> Iterator[Any]:
+    for part in base.__subclasses__():
+        yield part
+        yield from _subclasses(part)
 
 
 class Label(NamedTuple):
@@ -33,34 +48,6 @@ def metric_label(name: str) -> Label:
     return Label(name.replace("_", " "), "")
 
 
-def key_label(key: str, runs: Sequence[Mapping[str, object]] = ()) -> Label:
-    """A configuration key as it is, with its unit where it has one.
-
-    Args:
-        key: Of a simulation.
-        runs: Flat settings of the runs, which name the classes of parts.
-    """
-    return Label(key, next(filter(None, (unit_of(key, run) for run in runs or ({},))), ""))
-
-
-def unit_of(key: str, run: Mapping[str, object]) -> str:
-    """The unit of a key in a run's flat settings; "" where it has none, or belongs to a class that is not ours."""
-    kind: type[Settings] | None = SimulateSettings
-    path = key.split(".")
-    for depth, name in enumerate(path):
-        field = {each.name: each for each in fields(kind)}.get(name)
-        if field is None:
-            return ""
-        about = about_of(field)
-        if depth == len(path) - 1:
-            return about.unit.replace("^2", "²")
-        kind = nested_in(kind, name)
-        if kind is None:
-            told = run.get(".".join([*path[: depth + 1], "kind"]))
-            if about.base is None or not isinstance(told, str):
-                return ""
-            try:
-                kind = class_named(key, told, about.base, Trust.OWN).settings_type
-            except ConfigError:
-                return ""
-    return ""
+def key_label(key: str) -> Label:
+    """A configuration key as it is, with its unit where it has one."""
+    return Label(key, key_units().get(key, ""))

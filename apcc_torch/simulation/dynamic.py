@@ -31,7 +31,12 @@ from apcc_torch.simulation.sensors import Draws, PoseSensors, SensorState
 
 @dataclass(frozen=True, kw_only=True)
 class DynamicSettings(Settings):
-    """How long a closed loop runs, and how."""
+    """How long a closed loop runs, and how.
+
+    Example:
+        >>> DynamicSettings(duration=5.0, control_rate=100.0).compile
+        'off'
+    """
 
     duration: float = setting(unit="s", meaning="after the arm has settled", above=0)
     control_rate: float = setting(unit="Hz", meaning="of the controller", above=0)
@@ -226,6 +231,16 @@ def simulate_dynamic(
 
     Raises:
         ConfigError: The controller has no routing.
+
+    Example:
+        >>> arm = Arm(lengths=[0.2, 0.25], mass=0.4)
+        >>> controller = APCCController.for_arm(arm, residual=None)
+        >>> target = SetPoint(torch.tensor([[0.05, 0.0, -0.44]]).double())
+        >>> plant = Plant.on(arm, torch.tensor([0.1]).double(), PlantSettings(settle=0.5))
+        >>> settings = DynamicSettings(duration=1.0, control_rate=25.0)
+        >>> log = simulate_dynamic(plant, controller, PoseSensors(), target, arm.rest_lengths(), settings)
+        >>> log.q_true.shape, bool((log.x - log.x_d)[-1].norm() < (log.x - log.x_d)[0].norm())
+        (torch.Size([26, 1, 12]), True)
     """
 
     def estimated(now: LoopState) -> Tensor:

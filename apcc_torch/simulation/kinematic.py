@@ -16,6 +16,7 @@ from apcc_torch.errors import ConfigError, ValueRangeError
 from apcc_torch.linalg import damped_pseudo_inverse
 from apcc_torch.model.abscissae import decouple
 from apcc_torch.model.kinematic_model import KinematicModel
+from apcc_torch.modes import holds
 from apcc_torch.native.compiled import compiled
 from apcc_torch.part import Part, hold_rows
 from apcc_torch.simulation.progress import Progress, quiet
@@ -59,6 +60,12 @@ def start_configuration(
 
     Raises:
         ValueRangeError: Some x is not reached to 1 micrometre.
+
+    Example:
+        >>> backbone, L0 = PCCBackbone(2), torch.tensor([0.2, 0.25]).double()
+        >>> q = start_configuration(backbone, L0, torch.tensor([0.1, 0.05, 0.4]).double())
+        >>> backbone.tip(q, L0)
+        tensor([0.1000, 0.0500, 0.4000], dtype=torch.float64)
     """
     batch = torch.broadcast_shapes(L0.shape[:-1], x.shape[:-1])
     q = torch.zeros(*batch, backbone.n, dtype=L0.dtype, device=L0.device) if q is None else q
@@ -68,7 +75,7 @@ def start_configuration(
         q = q + scaled_within(step, 0.3)
     miss = (backbone.tip(q, L0) - x).norm(dim=-1)
     tolerance = max(1e-6, 100 * torch.finfo(L0.dtype).eps)
-    if not bool((miss < tolerance).all()):
+    if not holds(miss < tolerance):
         raise ValueRangeError(f"the start position is out of reach: missed by {float(miss.max()):g} m")
     return q
 
@@ -240,6 +247,15 @@ def simulate_exact(
         progress: Wraps the step counter, for a progress bar.
         compile: How a step is run, one of `native.compiled.MODES`; compiled code has no gradients.
         checkpointed: See `rollout`.
+
+    Example:
+        >>> arm = Arm(lengths=[0.2, 0.25])
+        >>> controller = APCCController.for_arm(arm, residual=None)
+        >>> target = SetPoint(torch.tensor([0.05, 0.0, -0.44]).double())
+        >>> true, first = arm.rest_lengths(), 1.1 * arm.rest_lengths()
+        >>> log = simulate_exact(controller, true, first, target, duration=0.2, rate=100.0)
+        >>> log.q_true.shape, bool((log.x - log.x_d).norm(dim=-1).max() < 1e-3)
+        (torch.Size([21, 6]), True)
     """
     pi, pi_hat = torch.broadcast_tensors(pi, pi_hat)
     loop = ExactLoop(controller, pi, trajectory, 1.0 / rate)
@@ -271,6 +287,15 @@ def simulate_feedback(
         progress: Wraps the step counter, for a progress bar.
         compile: How a step is run, one of `native.compiled.MODES`; compiled code has no gradients.
         checkpointed: See `rollout`.
+
+    Example:
+        >>> arm = Arm(lengths=[0.2, 0.25])
+        >>> controller = APCCController.for_arm(arm, residual=None)
+        >>> target = SetPoint(torch.tensor([0.05, 0.0, -0.44]).double())
+        >>> true, first = arm.rest_lengths(), 1.1 * arm.rest_lengths()
+        >>> log = simulate_feedback(controller, true, first, target, duration=1.0, rate=50.0)
+        >>> log.pi_hat.shape, bool((log.x - log.x_d)[-1].norm() < 1e-3)
+        (torch.Size([51, 2]), True)
     """
     pi, pi_hat = torch.broadcast_tensors(pi, pi_hat)
     loop = FeedbackLoop(controller, pi, trajectory, 1.0 / rate)

@@ -23,6 +23,11 @@ def shape_error(p_true: Tensor, p_approx: Tensor) -> Tensor:
 
     Raises:
         ShapeError, DtypeError: The arguments do not fit each other.
+
+    Example:
+        >>> line = torch.linspace(0.0, 0.4, 5).unsqueeze(-1) * torch.tensor([0.0, 0.0, 1.0])
+        >>> shape_error(line, line + torch.tensor([0.003, 0.0, 0.004]))
+        tensor(0.0050)
     """
     check_tensor("p_true", p_true, (None, 3))
     check_tensor("p_approx", p_approx, (p_true.shape[-2], 3))
@@ -54,6 +59,11 @@ def backbone_error(
 
     Returns:
         (...) m.
+
+    Example:
+        >>> backbone, L0 = PCCBackbone(2), torch.tensor([0.2, 0.25])
+        >>> backbone_error(backbone, torch.zeros(6), L0, backbone, torch.zeros(6), L0 + 0.01)
+        tensor(0.0100)
     """
     batch = torch.broadcast_shapes(q_true.shape[:-1], L0_true.shape[:-1], q.shape[:-1], L0.shape[:-1])
     flat = [v.expand(*batch, v.shape[-1]).reshape(-1, v.shape[-1]) for v in (q_true, L0_true, q, L0)]
@@ -79,6 +89,11 @@ def mapping_error(model: KinematicModel, q_d: Tensor, pi_hat: Tensor, x_measured
         q_d: (..., n) desired configuration.
         pi_hat: (..., n_b) m.
         x_measured: (..., 3) measured tip, m.
+
+    Example:
+        >>> backbone, L0 = PCCBackbone(2), torch.tensor([0.2, 0.25])
+        >>> mapping_error(backbone, torch.zeros(6), L0, torch.tensor([0.0, 0.003, 0.454]))
+        tensor(0.0050)
     """
     return (model.tip(q_d, pi_hat) - x_measured).norm(dim=-1)  # Eq. (53)
 
@@ -92,6 +107,11 @@ def orientation_error(model: KinematicModel, q: Tensor, pi_hat: Tensor, abscissa
         pi_hat: (..., n_b) m.
         abscissae: (k,) of the sensors, m.
         rotation: (..., k, 3, 3) true orientations.
+
+    Example:
+        >>> backbone, L0 = PCCBackbone(1), torch.tensor([0.2])
+        >>> orientation_error(backbone, torch.tensor([0.3, 0.0, 0.0]), L0, L0, torch.eye(3).expand(1, 3, 3))
+        tensor([0.3000])
     """
     pi_hat = pi_hat.expand(*q.shape[:-1], pi_hat.shape[-1])
     T = model.pose(q, pi_hat, *decouple(abscissae.to(q), pi_hat))

@@ -17,7 +17,7 @@ from apcc_torch.model.friction import TendonTransmission, TendonTransmissionSett
 from apcc_torch.model.integrators import Actuation, ArmState, guard, semi_implicit_step
 from apcc_torch.model.tendons import TendonRouting
 from apcc_torch.native.compiled import Step, compiled
-from apcc_torch.part import Part, hold_rows
+from apcc_torch.part import Part, hold_rows, refuse_parameter
 from apcc_torch.settings import OURS, PAPER, Setting, Settings, aligned, resolved, setting
 from apcc_torch.simulation.rollout import rollout
 
@@ -109,6 +109,9 @@ class Plant(Part):
         self.backbone = PCCBackbone(dynamics.n_sections, dynamics.base_rotation)
         self.hold(s)
         B = routing.matrix(dynamics.lengths)
+        made_of = {"dynamics.lengths": dynamics.lengths, "tendon_damping": s.tendon_damping}
+        for name, value in (*routing.named_parameters("routing"), *self.pid.named_parameters("pid"), *made_of.items()):
+            refuse_parameter(name, value, "B and K_P B B^T of a plant are made of it once; hand in a plain tensor")
         gains = (self.pid.K_P, self.pid.K_D + s.tendon_damping)
         stiffness, damping = (aligned(gain, 2) * (B @ B.mT) for gain in gains)
         hold_rows(self, payload=(payload, 0), B=(B, 2))
@@ -132,6 +135,11 @@ class Plant(Part):
         rest = {"transmission": None, "pid": TendonPIDSettings()}
         settings = self.settings.changed(**rest)
         return type(self)(self.dynamics, self.routing, loose, self.payload, settings, transmission=self.transmission)
+
+    def tensions(self, now: PlantState, reference: TendonReference) -> Tensor:
+        """What the motors feel (..., n_a), N; a tendon that may be slack does not push."""
+        u = self.forces(now.arm, now.z, reference)
+        return torch.relu(-u) if self.transmission is not None and self.transmission.slack else -u
 
     def stepper(self, dt: float, compile: str) -> Step:
         """Steps of dt seconds as (state, reference) -> state, run as `native.compiled` says."""

@@ -19,7 +19,7 @@ from hydra.core.override_parser.types import Override
 from hydra.experimental.callback import Callback
 from omegaconf import DictConfig, OmegaConf, open_dict, read_write
 
-from apcc_torch.composition.conf_path import conf_path
+from apcc_torch.conf_path import conf_path
 from apcc_torch.errors import ApccError, ConfigError
 from apcc_torch.experiments.run import PRUNED, objective_in
 from apcc_torch.sweeps.bars import SweepBars

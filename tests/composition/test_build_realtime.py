@@ -6,36 +6,28 @@ from math import pi
 
 import numpy as np
 import pytest
-from hydra import compose, initialize_config_dir
-from hydra.core.config_store import ConfigStore
 
 from apcc_torch.composition.build_realtime import RealtimeBuilder
-from apcc_torch.composition.conf_path import conf_path
-from apcc_torch.composition.realtime import RealtimeConfig
-from apcc_torch.composition.typed import typed
 from apcc_torch.control.trajectory import SetPoint, SineTrajectory
 from apcc_torch.errors import ApccError
 from apcc_torch.hardware.clock import MonotonicClock, VirtualClock
 from apcc_torch.hardware.dry_run import DryRunActuator
 from apcc_torch.hardware.stops import Ending, StopReason
-from composed import composed
-
-ConfigStore.instance().store(name="realtime_schema", node=RealtimeConfig)
+from composed import composed, composed_realtime
 
 
 def builder(*overrides: str) -> RealtimeBuilder:
-    with initialize_config_dir(conf_path(), version_base="1.3"):
-        return RealtimeBuilder(typed(compose("realtime", list(overrides)), RealtimeConfig))
+    return RealtimeBuilder(composed_realtime(*overrides))
 
 
 def test_the_set_point_is_the_papers_for_the_arm_and_for_the_simulation() -> None:
     build = builder("experiment=setpoint")
     trajectory = build.trajectory()
     assert isinstance(trajectory, SetPoint) and trajectory.x_d.tolist() == [0.0, 0.15, -0.5]
-    assert build.guards().arrival_error == 1e-3 and build.guards().duration == 20.0
+    assert build.guards().arrival_error == 1e-3 and build.settings.experiment.duration == 20.0
     simulated = composed("experiment=setpoint")
     assert simulated.experiment.setpoints == [[0.0, 0.15, -0.5]]
-    assert simulated.controller.K == build.config.controller.K == 1.5
+    assert simulated.controller.K == build.settings.controller.K == 1.5
 
 
 def test_a_sine_cannot_be_arrived_at() -> None:
@@ -52,9 +44,9 @@ def test_limits_are_a_number_or_one_a_tendon() -> None:
 
 
 def test_devices_are_those_asked_for() -> None:
-    assert isinstance(builder("experiment=setpoint").devices().clock, MonotonicClock)
-    lockstep = builder("experiment=setpoint", "hardware.simulated.lockstep=true", "dry_run=true").devices()
-    assert isinstance(lockstep.clock, VirtualClock) and isinstance(lockstep.actuator, DryRunActuator)
+    assert isinstance(builder("experiment=setpoint").devices().world.clock, MonotonicClock)
+    lockstep = builder("experiment=setpoint", "hardware=lockstep", "dry_run=true").devices()
+    assert isinstance(lockstep.world.clock, VirtualClock) and isinstance(lockstep.actuator, DryRunActuator)
 
 
 def test_the_gate_judges_in_the_base() -> None:
@@ -66,8 +58,8 @@ def test_the_gate_judges_in_the_base() -> None:
 
 
 def test_endings_can_be_changed() -> None:
-    table = builder("experiment=setpoint", "+guards.endings.over_effort=torque_off").guards().endings
-    assert table[StopReason.OVER_EFFORT] is Ending.TORQUE_OFF
+    guards = builder("experiment=setpoint", "guards.endings.over_effort=torque_off").guards()
+    assert guards.ending(StopReason.OVER_EFFORT) is Ending.TORQUE_OFF
 
 
 @pytest.mark.parametrize(
@@ -75,18 +67,20 @@ def test_endings_can_be_changed() -> None:
     [
         ("experiment=dynamic_run_2", "experiment.setpoints must hold one point"),
         ("experiment.payloads=[0.0,0.5]", "experiment.payloads must hold one payload"),
-        ("hardware.kind=dynamixel", "hardware.kind must be one of"),
-        ("loop.rate=501", "loop.rate must be between 20 and 500 Hz"),
+        ("hardware.actuator=dynamixel", "hardware.actuator.kind must name a class"),
+        ("loop.rate=501", r"loop\.rate must be in \[20, 500\], got 501"),
         ("guards.limits.upper=[0,0]", "guards.limits.upper must have 9 entries"),
-        ("guards.limits.rate=0", "rate and step must be positive"),
-        ("+guards.endings.late=hold", "endings must name reasons"),
-        ("guards.sensing.stale=0", "sensing.stale must be positive"),
+        ("guards.limits.rate=0", r"guards\.limits\.rate must be positive"),
+        ("guards.endings.late=hold", r"guards\.endings must be one of arrived, .*, got 'late'"),
+        ("guards.sensing.stale=0", r"guards\.sensing\.stale must be positive"),
+        ("guards.sensing.gate.max_bend=[1,2]", r"guards\.sensing\.gate\.max_bend must have 3 entries, got 2"),
+        ("guards.sensing.gate.max_ben=1", r"guards\.sensing\.gate\.max_ben is no setting; did you mean max_bend"),
     ],
 )
 def test_a_setting_without_meaning_is_refused(override: str, sentence: str) -> None:
     def build_all() -> None:
         build = builder("experiment=setpoint", override)
-        build.trajectory(), build.payload(), build.devices(), build.loop()
+        build.trajectory(), build.payload(), build.devices()
         build.limits(), build.guards(), build.sensing()
 
     with pytest.raises(ApccError, match=sentence):

@@ -1,82 +1,104 @@
-"""Settings of identification: every arm in conf composes, and wrong ones are refused by key."""
+"""Settings of identification: every arm in conf that has some composes, and wrong ones are refused by key."""
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
 from hydra import compose, initialize_config_dir
 from hydra.core.config_store import ConfigStore
+from omegaconf import OmegaConf
 
-from apcc_torch.composition.conf_path import conf_path
-from apcc_torch.composition.identify import BlockConfig, IdentifyConfig, arm_of, layout, parameters, read
-from apcc_torch.composition.typed import typed
+from apcc_torch.composition.identify import IdentifySettings, known_arm, parameters, recorded
+from apcc_torch.conf_path import conf_path
 from apcc_torch.errors import ConfigError, DataError
 from apcc_torch.identification.series import Series
+from apcc_torch.reading import defaults, read
 
-ConfigStore.instance().store(name="identify_schema", node=IdentifyConfig)
-ARMS = sorted(path.stem for path in (Path(conf_path()) / "arm").glob("*.yaml"))
+ConfigStore.instance().store(name="identify_defaults", node=defaults(IdentifySettings))
+NAMES = sorted(path.stem for path in (Path(conf_path()) / "identification").glob("*.yaml"))
 
 
-def composed(*overrides: str) -> IdentifyConfig:
+def composed(*overrides: str) -> IdentifySettings:
     with initialize_config_dir(conf_path(), version_base="1.3"):
-        return typed(compose("identify", list(overrides)), IdentifyConfig)
+        values: Any = OmegaConf.to_container(compose("identify", list(overrides)))
+    return read(values, IdentifySettings)
 
 
-def recorded(m: int, k: int) -> Series:
+def recorded_with(settings: IdentifySettings, m: int, k: int, monkeypatch: pytest.MonkeyPatch) -> Series:
     zeros = torch.zeros(2, dtype=torch.float64)
-    return Series(zeros, torch.zeros(2, m).double(), torch.zeros(2, k, 3).double(), torch.zeros(2, dtype=torch.int64))
+    series = Series(zeros, zeros.expand(m, 2).mT, zeros.expand(k, 3, 2).movedim(-1, 0), zeros.to(torch.int64))
+    monkeypatch.setattr("apcc_torch.composition.identify.read_series", lambda *_: series)
+    return recorded(settings.changed(data="x.csv"))
 
 
-@pytest.mark.parametrize("name", ARMS)
-def test_every_arm_composes_and_has_parameters(name: str) -> None:
-    config = composed(f"arm={name}")
-    found = layout(config, recorded(max(config.tendons.inputs) + 1, len(config.bodies)))
-    blocks = parameters(config, found)
-    assert len(blocks) > 40
-    assert set(config.fit.geometric) <= set(blocks.blocks)
-    assert config.name == name
+@pytest.mark.parametrize("name", NAMES)
+def test_every_arm_has_parameters(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    settings = composed(f"arm={name}")
+    assert settings.arm.name == name
+    driving = settings.arm.actuation.driving(settings.arm.n_tendons)
+    recorded_with(settings, max(driving) + 1, len(settings.arm.sensor_places()), monkeypatch)
+    assert len(parameters(settings)) > 40
+    assert len(parameters(settings).holding(settings.fit.geometric)) > 20
+
+
+def test_an_arm_is_started_with_the_settings_of_another() -> None:
+    settings = composed("arm=trunk", "identification=ftdcr_v6")
+    assert (settings.arm.name, settings.recording.time, settings.spread.gravity) == ("trunk", "timestamp", 5.0)
 
 
 @pytest.mark.parametrize(
     ("overrides", "words"),
     [
-        (["blocks.offset.nominal=[1,2]"], r"blocks\.offset\.nominal must be a number or a list of 9, got 2"),
-        (["blocks.offset.spread=much"], r"blocks\.offset\.spread must be a number or a list of 9, got 'much'"),
-        (["~blocks.angle"], r"blocks\.angle is missing"),
-        (["tendons.inputs=[0,1,2,3,4,5,6,7,9]"], "names input 9, the recording has 9"),
-        (["bodies=[2,3]"], "bodies has 2 entries, the recording has 1"),
+        (["spread.offset=[1,2]"], r"spread\.offset must have 9 entries, got 2"),
+        (["spread.offset=much"], r"spread\.offset must be a number or a list of 9 numbers, got 'much'"),
+        (["arm.tendons.ends=[1,1,1,2,2,2,3,3,4]"], r"^arm\.tendons\.ends must be sections from 1 to 3"),
+        (["arm.actuation.inputs=[0,1,2,3,4,5,6,7,9]"], "names input 9, the recording has 9"),
+        (["arm.sensors=[0.1,0.2]", "arm.mounts=null"], r"arm\.sensors must name 1 places, .* got 2"),
+        (["split.fold=7"], r"split\.fold must be from 0 to folds - 1"),
+        (["fit.geometric=[colour]"], r"fit\.geometric must be one of rest_length, "),
+        (["arm.actuation.friction=0"], r"arm\.actuation\.friction must be positive .*; spread\.friction=0 holds it"),
+        (["+spread.colour=1"], r"spread\.colour is no setting"),
+        (["arm=trunk", "++arm.lengths=???"], r"^arm\.lengths must be given"),
     ],
 )
-def test_settings_that_do_not_fit_are_refused(overrides: list[str], words: str) -> None:
-    config = composed("arm=ftdcr_v6", *overrides)
+def test_settings_that_do_not_fit_are_refused(
+    overrides: list[str], words: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def begin() -> None:
+        settings = composed("arm=ftdcr_v6", *overrides)
+        recorded_with(settings, 9, 1, monkeypatch)
+        parameters(settings)
+
     with pytest.raises(ConfigError, match=words):
-        parameters(config, layout(config, recorded(9, 1)))
+        begin()
 
 
-def test_a_block_that_is_none_is_refused() -> None:
-    config = composed("arm=ftdcr_v6")
-    config.blocks["colour"] = BlockConfig(1.0)
-    with pytest.raises(ConfigError, match=r"blocks\.colour is not a block; there are rest_length"):
-        parameters(config, layout(config, recorded(9, 1)))
+def test_something_must_be_fitted() -> None:
+    settings = composed("arm=ftdcr_v6")
+    nothing = settings.spread.changed(**dict.fromkeys(defaults(type(settings.spread)), 0.0))
+    with pytest.raises(ConfigError, match="nothing to fit"):
+        parameters(settings.changed(spread=nothing))
 
 
 def test_data_and_its_layout_must_be_given() -> None:
     with pytest.raises(ConfigError, match="data must name"):
-        read(composed("arm=ftdcr_v6"))
+        recorded(composed("arm=ftdcr_v6"))
     with pytest.raises(ConfigError, match=r"recording\.layout must be"):
-        read(composed("arm=ftdcr_v6", "data=x.csv", "recording.layout=odd"))
+        composed("arm=ftdcr_v6", "data=x.csv", "recording.layout=odd")
+    with pytest.raises(ConfigError, match=r"recording\.inputs must name columns of x\.csv"):
+        recorded(composed("arm=ftdcr_v6", "data=x.csv", "recording.inputs=[]", "recording.layout=table"))
 
 
 def test_the_arm_is_told_by_the_recording(tmp_path: Path) -> None:
     table = tmp_path / "a.csv"
     table.write_text("timestamp,servo_1_mm,tip_x\n")
-    assert arm_of(str(table)) == "ftdcr_v6"
+    assert known_arm(str(table)) == "ftdcr_v6"
     (tmp_path / "observations_x.csv").write_text("ID\n")
-    assert arm_of(str(tmp_path)) == "trunk"
+    assert known_arm(str(tmp_path)) == "trunk"
     table.write_text("a,b\n")
-    with pytest.raises(ConfigError, match="arm must be named"):
-        arm_of(str(table))
+    assert known_arm(str(table)) is None
     with pytest.raises(DataError, match="no such file"):
-        arm_of(str(tmp_path / "none.csv"))
+        known_arm(str(tmp_path / "none.csv"))

@@ -12,9 +12,9 @@ from hydra import compose, initialize_config_dir
 from hydra.errors import HydraException
 from omegaconf import OmegaConf
 
-from apcc_torch.composition.conf_path import conf_path
 from apcc_torch.composition.run_settings import SimulateSettings
 from apcc_torch.composition.schema import check_words, text, typed
+from apcc_torch.conf_path import conf_path
 from apcc_torch.errors import ConfigError
 from apcc_torch.experiments.kinds import KINDS
 from apcc_torch.reading import read

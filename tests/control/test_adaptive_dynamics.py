@@ -30,8 +30,9 @@ FOLLOWING, HOLDING = 3.0, 0.05
 """Lambda, 1/s, and K_s, N m s/rad and N s/m."""
 
 
-def law(**settings: Any) -> AdaptiveDynamics:
-    return AdaptiveDynamics(settings.pop("nominal", NOMINAL), settings.pop("deviation", DEVIATION), **settings)
+def law(nominal: Tensor = NOMINAL, deviation: Tensor = DEVIATION, **settings: Any) -> AdaptiveDynamics:
+    own = {"tracking_gain": 0.0, "filter_time": 0.1, "torque_noise": 0.05}
+    return AdaptiveDynamics(nominal, deviation, **{**own, **settings})
 
 
 CASES = {

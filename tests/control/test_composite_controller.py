@@ -13,6 +13,7 @@ from apcc_torch.control.adaptive_dynamics import AdaptiveDynamics
 from apcc_torch.control.composite_controller import CompositeController, CompositeState
 from apcc_torch.control.controller import APCCController
 from apcc_torch.control.inverse_kinematics import InverseKinematics
+from apcc_torch.control.length_bounds import LengthBounds
 from apcc_torch.control.pid import TendonPID, ramp
 from apcc_torch.control.step_io import Measurement, Target
 from apcc_torch.control.trajectory import SineTrajectory
@@ -20,6 +21,7 @@ from apcc_torch.errors import ConfigError, ShapeError, ValueRangeError
 from apcc_torch.estimation.savitzky_golay import SavitzkyGolay
 from apcc_torch.estimation.state_feedback import StateFeedback
 from apcc_torch.model.abscissae import decouple
+from apcc_torch.model.affine import AffineBackbone
 from apcc_torch.model.backbone import PCCBackbone
 from apcc_torch.model.dynamics import SoftArmDynamics
 from apcc_torch.model.dynamics_regressor import DynamicsRegressor
@@ -47,8 +49,9 @@ def kinematic(adaptive: bool = False, tendons: bool = True, **feedback: int) -> 
         backbone,
         StateFeedback(backbone, RACKS, "pose", angular_weight=0.1, **feedback),
         SavitzkyGolay(window=5, order=2),
-        InverseKinematics(1.8),
-        AdaptiveLaw(3, 0.5, lower=0.75 * PI, upper=1.25 * PI, rate=0.1),
+        InverseKinematics(1.8, null_gain=0.05),
+        AdaptiveLaw(3, 0.5, rate=0.1),
+        bounds=LengthBounds(PI, lower=0.75, upper=1.25, reach="free"),
         routing=ROUTING if tendons else None,
         adaptive=adaptive,
         elongation_bound=0.08,
@@ -62,9 +65,10 @@ def composite(
     law: dict[str, Any] | None = None,
     **settings: Any,
 ) -> CompositeController:
-    made = AdaptiveDynamics(nominal, deviation, **(law or {}))
+    own = {"tracking_gain": 0.0, "filter_time": 0.1, "torque_noise": 0.05}
+    learning = AdaptiveDynamics(nominal, deviation, **{**own, **(law or {})})
     regressor = DynamicsRegressor(ROUTING, HANGING_BASE)
-    return CompositeController(inner or kinematic(), regressor, made, **settings)
+    return CompositeController(inner or kinematic(), regressor, learning, **{"stiffness": 1.0, **settings})
 
 
 def readings(rows: int, steps: int) -> list[tuple[Measurement, Target]]:
@@ -159,11 +163,11 @@ def matched(payload: Tensor) -> Plant:
     """The arm that is the model: three sections, their ends at the sensors."""
     axial, bending = scaled_stiffness(PI)
     arm = SoftArmDynamics(PI, PI / PI.sum(), axial, bending, 0.1, base_rotation=HANGING_BASE)
-    return Plant(arm, ROUTING, TendonPID(), payload, 200.0)
+    return Plant(arm, ROUTING, TendonPID(), payload, 200.0, substeps=2, settle=1.5)
 
 
 def followed(c: CompositeController | APCCController, duration: float, pace: float) -> DynamicLog:
-    settings = DynamicSettings(duration, control_rate=100.0, substeps=2, settle=1.5)
+    settings = DynamicSettings(duration=duration, control_rate=100.0)
     target = SineTrajectory(torch.tensor([0.0, 0.0, -0.5], dtype=D), torch.tensor([0.2, 0.2, 0.05], dtype=D), pace)
     with torch.inference_mode():
         plant = matched(TRUE[3:4])
@@ -214,3 +218,39 @@ def test_settings_without_meaning_are_refused() -> None:
     law = AdaptiveDynamics(TRUE, DEVIATION)
     with pytest.raises(ConfigError, match="routing"):
         CompositeController(kinematic(tendons=False), DynamicsRegressor(ROUTING, HANGING_BASE), law)
+
+
+def test_what_is_believed_is_told_by_settings() -> None:
+    believed = {"bending_rigidity": 0.1, "axial_rigidity": 14.0, "tendon_damping": 30.0, "payload": 0.2, "mass": 0.9}
+    deviations = {"bending_rigidity": 0.03, "axial_rigidity": 5.0, "tendon_damping": 10.0, "payload": 0.1, "mass": 0.0}
+    learning = {"tracking_gain": 0.5, "filter_time": 0.2, "torque_noise": 0.07, "memory": 3.0, "dead_zone": 1e-3}
+    nominal, deviation = (torch.tensor(list(each.values()), dtype=D) for each in (believed, deviations))
+    motion = {"stiffness": 2.0, "damping": 0.1}
+    uncertain = {f"{name}_deviation": value for name, value in deviations.items()}
+    told = CompositeController(kinematic(), **believed, **uncertain, **learning, **motion)
+    built = composite(nominal, deviation, law=learning, **motion)
+    states = [c.initial_state(torch.zeros(2, 9, dtype=D), PI) for c in (told, built)]
+    for measurement, target in readings(2, 3):
+        (first, a), (second, b) = (c(s, measurement, target) for c, s in zip((told, built), states, strict=True))
+        states = [first, second]
+        assert same_bits(first, second) and same_bits(a, b)
+    assert bool((states[0].theta_hat[:, :4] != nominal[:4]).any())
+    # A feed-forward that learns nothing keeps what is believed.
+    still = CompositeController(kinematic(), adapts=False, **believed, **uncertain, **learning, **motion)
+    state = still.initial_state(torch.zeros(2, 9, dtype=D), PI)
+    for measurement, target in readings(2, 3):
+        state, command = still(state, measurement, target)
+        assert torch.equal(state.theta_hat, nominal.expand(2, 5))
+        assert command.force is not None and bool(command.force.any())
+    bounded = CompositeController(kinematic(), lower=(0.01, 1.0, 0.0, 0.0, 0.5), upper=(1.0, 99.0, 900.0, 1.0, 2.0))
+    assert bounded.law.lower.tolist() == [0.01, 1.0, 0.0, 0.0, 0.5] and bounded.law.upper[4] == 2.0
+    with pytest.raises(ConfigError, match="upper must have 5 entries, got 2"):
+        CompositeController(kinematic(), upper=(1.0, 2.0))
+
+
+def test_a_model_of_other_sections_is_refused() -> None:
+    backbone = AffineBackbone(3, HANGING_BASE)
+    solver = InverseKinematics(coordinates=backbone.coordinates)
+    inner = APCCController(backbone, StateFeedback(backbone, RACKS), SavitzkyGolay(5, 2), solver, routing=ROUTING)
+    with pytest.raises(ConfigError, match="needs a model of constant-curvature sections"):
+        CompositeController(inner)

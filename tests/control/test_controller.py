@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import pytest
 import torch
@@ -12,9 +13,11 @@ from torch.func import jacfwd
 from apcc_torch.control.adaptation import AdaptiveLaw
 from apcc_torch.control.controller import APCCController
 from apcc_torch.control.inverse_kinematics import InverseKinematics
+from apcc_torch.control.length_bounds import LengthBounds
+from apcc_torch.control.length_law import LawStep, LengthLaw
 from apcc_torch.control.step_io import Command, ControllerState, Measurement, Target
 from apcc_torch.control.task_integral import TaskIntegral
-from apcc_torch.errors import DtypeError, ShapeError, ValueRangeError
+from apcc_torch.errors import ConfigError, DtypeError, ShapeError, ValueRangeError
 from apcc_torch.estimation.feedback import FeedbackStatus
 from apcc_torch.estimation.pose_filter import PoseFilter
 from apcc_torch.estimation.savitzky_golay import SavitzkyGolay
@@ -23,6 +26,8 @@ from apcc_torch.lie import se3, so3
 from apcc_torch.model.abscissae import decouple
 from apcc_torch.model.backbone import PCCBackbone
 from apcc_torch.model.tendons import TendonRouting, rack_routing
+from apcc_torch.part import hold_rows
+from apcc_torch.settings import Setting, Settings, aligned, resolved, setting
 from arms import HANGING_BASE, PI, PI_HAT, configurations
 from laws import bits, check_bad_row, generator, leaves, map_leaves, normal
 
@@ -41,10 +46,8 @@ def controller(
         backbone,
         StateFeedback(backbone, abscissae, mode, **(feedback or {})),
         SavitzkyGolay(window=5, order=2),
-        InverseKinematics(K=1.5),
-        AdaptiveLaw(3, 0.5, regressor),
-        routing,
-        **settings,
+        InverseKinematics(K=1.5, null_gain=0.05),
+        **{"laws": AdaptiveLaw(3, 0.5, regressor), "routing": routing, **settings},
     )
 
 
@@ -83,8 +86,14 @@ def test_a_step_is_its_parts(regressor: str, velocity: str) -> None:
         J_hat = c.backbone.tip_jacobian(estimate.q_bar, state.pi_hat)
         qdot = c.inverse_kinematics(J_hat, e, target.xdot_d, estimate.q_bar)
         q_d = state.q_d + 0.01 * qdot
-        Y = c.regressor(estimate.q_bar, qdot_bar if velocity == "measured" else qdot, state.pi_hat)
-        pi_hat = c.law(state.pi_hat, Y, e, stamp(0.01).expand(4))
+        rate = qdot_bar if velocity == "measured" else qdot
+        if regressor == "partial":
+            Y = c.backbone.regressor(estimate.q_bar, rate)[0]
+        else:
+            Y = c.regressor(estimate.q_bar, rate, state.pi_hat)
+        law = c.laws[0]
+        assert isinstance(law, AdaptiveLaw)
+        pi_hat = law(state.pi_hat, Y, e, stamp(0.01).expand(4))
         assert isinstance(later, ControllerState) and isinstance(command, Command)
         assert c.routing is not None and command.y is not None
         for have, want in (
@@ -129,6 +138,74 @@ def test_standard_controller_keeps_its_parameters() -> None:
         assert torch.equal(state.pi_hat, PI_HAT.expand(3, 3))
     assert command.y is None
     assert float(state.q_d.sub(q).abs().max()) > 0.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class LeakSettings(Settings):
+    time: Setting = setting(2.0, "s", meaning="in which pi_hat returns", rows="number", above=0)
+
+
+class Visits(NamedTuple):
+    steps: Tensor
+
+
+class Leak(LengthLaw):
+    """A law of one's own: back to the first estimate, counting its steps."""
+
+    settings_type = LeakSettings
+    nominal: Tensor
+    time: Setting
+
+    def __init__(self, nominal: Tensor, *settings: Any, **changes: Any) -> None:
+        super().__init__()
+        hold_rows(self, nominal=(nominal, 1))
+        self.hold(resolved(LeakSettings, settings, changes))
+
+    def initial_memory(self, q: Tensor, pi_hat: Tensor) -> Visits:
+        return Visits(torch.zeros_like(pi_hat[..., 0]))
+
+    def speed(self, step: LawStep, memory: Visits) -> tuple[Tensor, Visits]:
+        return (self.nominal - step.pi_hat) / aligned(self.time, 1), Visits(memory.steps + 1)
+
+
+def test_the_speeds_of_laws_add_up_and_the_bounds_hold_for_their_sum() -> None:
+    q, T, target = scene(3)
+    gamma = torch.tensor([3.0, 0.2, 1.0], dtype=torch.float64)
+    leak, law = Leak(0.3 * PI, time=0.05), AdaptiveLaw(3, gamma)
+    bounds = LengthBounds(PI, PI.cumsum(0), lower=0.5, upper=1.1)
+    alone = [controller(laws=each) for each in (leak, law)]
+    both = controller(laws=[leak, law], bounds=bounds)
+    state = both.initial_state(q, PI_HAT)
+    assert [memory is None for memory in state.memories] == [False, True]
+    measurement = Measurement(T, stamp(0.04))
+    later, _ = both(state, measurement, target)
+    changes = [c(c.initial_state(q, PI_HAT), measurement, target)[0].pi_hat - PI_HAT for c in alone]
+    moved = PI_HAT + changes[0] + changes[1]
+    assert (moved.sum(-1) < PI.sum()).all()
+    # The reach shares out what lacks as the gain of the law says that has one.
+    torch.testing.assert_close(later.pi_hat, bounds(moved, torch.diag(gamma)), rtol=0, atol=1e-12)
+    assert float((later.pi_hat - bounds(moved)).abs().max()) > 1e-4
+    later, _ = both(later, Measurement(T, stamp(0.08)), target)
+    assert later.memories[0].steps.tolist() == [2.0, 2.0, 2.0] and later.memories[1] is None
+
+
+def test_without_a_law_nothing_adapts() -> None:
+    q, T, target = scene(3)
+    for c in (controller(laws=()), controller(laws=[], bounds=LengthBounds(PI, PI.cumsum(0), lower=0.99, upper=1.01))):
+        state, _ = c(c.initial_state(q, PI_HAT), Measurement(T, stamp(0.02)), target)
+        assert torch.equal(state.pi_hat, PI_HAT.expand(3, 3)) and state.memories == ()
+
+
+def test_a_law_s_numbers_may_differ_from_row_to_row() -> None:
+    q, T, target = scene(3)
+    times = torch.tensor([0.1, 0.5, 2.0], dtype=torch.float64)
+    measurement = Measurement(T, stamp(0.02))
+    together = controller(laws=Leak(PI, time=times))
+    state, _ = together(together.initial_state(q, PI_HAT), measurement, target)
+    for row in range(3):
+        one = controller(laws=Leak(PI, time=float(times[row])))
+        alone, _ = one(one.initial_state(q, PI_HAT), measurement, target)
+        torch.testing.assert_close(state.pi_hat[row], alone.pi_hat[row], rtol=0, atol=1e-13)
 
 
 def test_elapsed_time_is_the_difference_of_stamps() -> None:
@@ -294,8 +371,10 @@ def test_total_regressor(mode: str) -> None:
         )
         torch.testing.assert_close((ahead - behind).mT / (2 * h), want, rtol=0, atol=2e-4 * scale)
         assert float((have - backbone.regressor(q, qdot)[0]).abs().max()) > 0.05 * scale
-        partial = controller("partial", mode, X).regressor(q, qdot, PI)
-        assert torch.equal(partial, backbone.regressor(q, qdot)[0])
+        # Of a controller whose law takes theorem 1's, it is the total one all the same.
+        assert torch.equal(
+            controller("partial", mode, X, feedback={"angular_weight": weight, **tight}).regressor(q, qdot, PI), have
+        )
 
 
 def test_regressor_knows_which_sensors_the_estimate_used() -> None:
@@ -354,7 +433,7 @@ def test_a_step_compiles_whole() -> None:
 
 
 def test_refusals() -> None:
-    with pytest.raises(ValueRangeError, match="velocity must be one of measured, commanded"):
+    with pytest.raises(ConfigError, match="velocity must be one of measured, commanded"):
         controller(velocity="filtered")
     for name in ("bend_bound", "elongation_bound", "integration_limit"):
         for value in (0.0, -1.0, float("nan"), float("inf")):

@@ -6,7 +6,8 @@ import pytest
 import torch
 
 from apcc_torch.control.gain import gain_matrix
-from apcc_torch.errors import DtypeError, ShapeError, ValueRangeError
+from apcc_torch.control.inverse_kinematics import InverseKinematics
+from apcc_torch.errors import ConfigError, DtypeError, ShapeError, ValueRangeError
 from laws import generator, normal
 
 
@@ -21,8 +22,19 @@ def test_forms() -> None:
     full = root @ root.mT + eye
     have = gain_matrix("K", full, 3)
     assert torch.equal(have, full)
+    law = InverseKinematics(full)
     full.zero_()  # the gain is the module's own
-    assert float(have.diagonal(dim1=-2, dim2=-1).min()) >= 1.0
+    assert float(law.K.diagonal(dim1=-2, dim2=-1).min()) >= 1.0
+    assert torch.equal(gain_matrix("gamma", [90.0, 42.5, 35.0], 3), torch.diag(diagonal))
+    assert torch.equal(gain_matrix("gamma", {"along": [90.0, 42.5, 35.0]}, 3), torch.diag(diagonal))
+
+
+def test_a_trained_gain_is_a_matrix() -> None:
+    gain = torch.nn.Parameter(2.0 * torch.eye(3, dtype=torch.float64))
+    assert InverseKinematics(gain).K is gain
+    for bare in (torch.tensor(2.0), torch.ones(3)):
+        with pytest.raises(ShapeError, match=r"K is trained as a matrix: hand in nn\.Parameter"):
+            gain_matrix("K", torch.nn.Parameter(bare), 3)
 
 
 @pytest.mark.parametrize(
@@ -37,6 +49,8 @@ def test_forms() -> None:
         (torch.ones(3, 3), ValueRangeError, "positive definite"),
         (torch.eye(3) + torch.tensor([[0.0, 0.1, 0.0]] + [[0.0] * 3] * 2), ValueRangeError, "K must be symmetric"),
         (torch.stack((torch.eye(3), -torch.eye(3))), ValueRangeError, "positive definite"),
+        ([1.0, 2.0], ConfigError, "K must have 3 entries, got 2"),
+        ([1.0, "2", 3.0], ConfigError, "K must be a number or a list of 3 numbers"),
         (torch.ones(2), ShapeError, r"K must have shape \(\.\.\., 3\), got \(2,\)"),
         (torch.eye(4), ShapeError, r"K must have shape \(\.\.\., 3, 3\), got \(4, 4\)"),
         (torch.ones(3, dtype=torch.int64), DtypeError, "K must be a floating-point tensor"),

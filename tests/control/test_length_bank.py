@@ -9,10 +9,10 @@ import torch
 from hypothesis import given
 from torch import Tensor
 
-from apcc_torch.control.adaptation import AdaptiveLaw
 from apcc_torch.control.controller import APCCController
 from apcc_torch.control.inverse_kinematics import InverseKinematics
-from apcc_torch.control.length_bank import UNSEEN, BankEvidence, LengthBank, candidates
+from apcc_torch.control.length_bank import UNSEEN, BankEvidence, LengthBank, Shares, candidates, lists_of
+from apcc_torch.control.length_bounds import LengthBounds
 from apcc_torch.control.residual_adaptation import ResidualLaw
 from apcc_torch.control.step_io import Measurement, Target
 from apcc_torch.errors import ConfigError, ValueRangeError
@@ -26,6 +26,7 @@ from apcc_torch.model.statics import equilibrium
 from apcc_torch.model.stiffness import scaled_stiffness
 from apcc_torch.model.tendons import rack_routing
 from arms import HANGING_BASE, PI, configurations
+from law_steps import law_step
 from laws import bits, generator, seeds
 
 D = torch.float64
@@ -40,7 +41,12 @@ DT = torch.tensor(0.02, dtype=D)
 
 
 def bank(**settings: object) -> LengthBank:
-    return LengthBank(PI, FEEDBACK, CURVE, SHARES, **QUICK | settings)  # type: ignore[arg-type]
+    return LengthBank(PI, FEEDBACK, **{"shares": SHARES, **QUICK, **settings})
+
+
+def models(nominal: Tensor = PI, shares: Shares = SHARES, sensors: Tensor = SENSORS) -> Tensor:
+    """The rest lengths that are tried."""
+    return candidates(nominal, lists_of(shares, nominal.shape[-1] - 1), sensors)
 
 
 def measured(q: Tensor, pi: Tensor = PI) -> Tensor:
@@ -50,33 +56,38 @@ def measured(q: Tensor, pi: Tensor = PI) -> Tensor:
 def visits(made: LengthBank, T: Tensor, steps: int) -> tuple[Tensor, BankEvidence]:
     """pi_hat and the evidence after so many steps on an arm at rest."""
     batch = T.shape[:-3]
-    pi, evidence = PI.expand(*batch, 3), made.initial_evidence(torch.zeros(*batch, 9, dtype=D), PI)
-    seen = torch.isfinite(T).flatten(-3).all(-1)
+    q = torch.zeros(*batch, 9, dtype=D)
+    pi, evidence = PI.expand(*batch, 3), made.initial_memory(q, PI)
     for _ in range(steps):
-        velocity, evidence = made(BACKBONE, pi, pi, None, T, SENSORS, DT.expand(batch), seen, evidence)
+        velocity, evidence = made.speed(law_step(FEEDBACK, q, pi, T, DT, sensitivity=False), evidence)
         pi = pi + DT * velocity
     return pi, evidence
 
 
 def test_the_models_are_all_combinations_that_keep_the_total_length() -> None:
-    found = candidates(PI, SHARES, SENSORS)
+    found = models()
     assert found.shape == (9, 3) and torch.equal(found[0], PI)
     torch.testing.assert_close(found.sum(-1), PI.sum().expand(9))
     want = {(round(float(PI[0]) * a, 6), round(float(PI[1]) * b, 6)) for a, b in itertools.product(SHARES, SHARES)}
     assert {(round(float(a), 6), round(float(b), 6)) for a, b, _ in found} == want
     # A combination that leaves nothing for the last section is left out, in every row alike.
     rows = torch.stack((PI, 1.1 * PI)).unsqueeze(1)
-    long = candidates(rows, (1.0, 1.9), SENSORS)
+    long = models(rows, (1.0, 1.9))
     assert long.shape == (2, 1, 2, 3) and bool((long > 0).all())
 
 
 def test_every_section_may_have_shares_of_its_own() -> None:
-    found = candidates(PI, ((0.5, 1.0), (0.75,)), SENSORS)
+    found = models(PI, ((0.5, 1.0), (0.75,)))
     want = torch.stack(
         [PI, *(torch.stack((a * PI[0], 0.75 * PI[1], PI.sum() - a * PI[0] - 0.75 * PI[1])) for a in (0.5, 1.0))]
     )
     torch.testing.assert_close(found, want)
-    torch.testing.assert_close(candidates(PI, (SHARES, SHARES), SENSORS), candidates(PI, SHARES, SENSORS))
+    torch.testing.assert_close(models(PI, (SHARES, SHARES)), models())
+    # A profile from the base to the tip: each section has the list of its place, whatever their number.
+    profile = {"along": [(0.5, 1.0), (0.75,)]}
+    torch.testing.assert_close(torch.stack(lists_of(profile, 2)[:1]), torch.tensor([[0.5, 1.0]], dtype=D))
+    assert [each.tolist() for each in lists_of(profile, 4)] == [[0.5, 1.0], [0.5, 1.0], [0.75], [0.75]]
+    assert [each.tolist() for each in lists_of(profile, 1)] == [[0.75]]
 
 
 @pytest.mark.parametrize(
@@ -94,10 +105,10 @@ def test_the_total_length_follows_the_compression(stretch: float, total_range: f
     arm = true * PI
     T = BACKBONE.pose(BENT, arm, *decouple(true * SENSORS, arm))
     made = bank(stretch=stretch, total_range=total_range)
-    pi, q, evidence = PI, torch.zeros(9, dtype=D), made.initial_evidence(torch.zeros(9, dtype=D), PI)
+    pi, q, evidence = PI, torch.zeros(9, dtype=D), made.initial_memory(torch.zeros(9, dtype=D), PI)
     for _ in range(160):
         q = FEEDBACK(q, pi, T).q_bar
-        velocity, evidence = made(BACKBONE, q, pi, None, T, SENSORS, DT, torch.tensor(True), evidence)
+        velocity, evidence = made.speed(law_step(FEEDBACK, q, pi, T, DT, sensitivity=False), evidence)
         pi = pi + DT * velocity
     assert float(pi.sum() / PI.sum()) == pytest.approx(want, abs=2e-3)
 
@@ -106,11 +117,9 @@ def test_an_estimate_that_is_not_finite_moves_nothing() -> None:
     made = bank(stretch=1.0)
     q = torch.stack((BENT, torch.full_like(BENT, float("nan"))))
     pi, T = PI.expand(2, 3), measured(BENT).expand(2, 3, 4, 4)
-    evidence = made.initial_evidence(torch.zeros(2, 9, dtype=D), PI)
-    velocity, _ = made(BACKBONE, q, pi, None, T, SENSORS, DT.expand(2), torch.tensor([True, True]), evidence)
-    alone, _ = made(
-        BACKBONE, BENT, PI, None, T[0], SENSORS, DT, torch.tensor(True), made.initial_evidence(q[0] * 0, PI)
-    )
+    evidence = made.initial_memory(torch.zeros(2, 9, dtype=D), PI)
+    velocity, _ = made.speed(law_step(FEEDBACK, q, pi, T, DT, sensitivity=False), evidence)
+    alone, _ = made.speed(law_step(FEEDBACK, BENT, PI, T[0], DT), made.initial_memory(q[0] * 0, PI))
     assert not bool(velocity[1].any())
     torch.testing.assert_close(velocity[0], alone)
 
@@ -119,7 +128,7 @@ def test_models_that_the_sensors_cannot_tell_are_left_out() -> None:
     # Where the sensors leave sections open, algorithm 2's problem is singular; for what is kept it is not.
     even, X = torch.full((3,), 0.15, dtype=D), torch.tensor([0.15, 0.3, 0.45], dtype=D)
     shares = (0.3, 0.6, 0.9, 1.2)
-    kept = {tuple(round(float(v), 6) for v in row) for row in candidates(even, shares, X)}
+    kept = {tuple(round(float(v), 6) for v in row) for row in models(even, shares, X)}
     every = [(0.15 * a, 0.15 * b, 0.45 - 0.15 * (a + b)) for a, b in itertools.product(shares, shares)]
     q = torch.tensor([0.4, 0.3, 0.0, -0.5, 0.2, 0.0, 0.3, -0.4, 0.0], dtype=D)
     worst = {True: float("inf"), False: 0.0}
@@ -152,14 +161,14 @@ def test_the_cost_is_its_definition(seed: int) -> None:
 
 @pytest.mark.parametrize("model", [0, 2, 4, 7])
 def test_the_best_model_is_found(model: int) -> None:
-    models = candidates(PI, SHARES, SENSORS)
-    T = measured(0.4 * BENT, models[model])
+    tried = models()
+    T = measured(0.4 * BENT, tried[model])
     made = bank(sharpness=0.02, time_constant=0.1, elongation_weight=0.0, nominal_weight=0.0)
-    alone = [made.cost(BACKBONE, FEEDBACK(torch.zeros(9, dtype=D), pi, T).q_bar, pi, T) for pi in models]
+    alone = [made.cost(BACKBONE, FEEDBACK(torch.zeros(9, dtype=D), pi, T).q_bar, pi, T) for pi in tried]
     best = int(torch.stack(alone).argmin())
     pi, evidence = visits(made, T, 100)
     assert int(evidence.cost.argmin()) == best
-    torch.testing.assert_close(pi, models[best], atol=2e-3, rtol=0.0)
+    torch.testing.assert_close(pi, tried[best], atol=2e-3, rtol=0.0)
     if model != 4:  # there the curve through the sensors, no arc, lies nearer to another model
         assert best == model
 
@@ -175,14 +184,14 @@ def test_where_the_gradient_goes_astray_the_bank_does_not() -> None:
     rest = equilibrium(arm, routing=routing, tendon_lengths=pulled, payload=torch.tensor(0.5, dtype=D))
     assert bool(rest.converged)
     T = PCCBackbone(6, HANGING_BASE).pose(rest.q, lengths, *decouple(SENSORS, lengths))
-    weights = {"elongation_weight": 0.02, "nominal_weight": 0.002, "time_constant": 0.1, "rate": 0.3}
-    gradient, pi = ResidualLaw(PI, "curve", CURVE, damping=0.02, **weights), PI  # type: ignore[arg-type]
+    weights = {"elongation_weight": 0.02, "nominal_weight": 0.002, "time_constant": 0.1, "rate": 0.3, "samples": 4}
+    gradient, pi = ResidualLaw(PI, FEEDBACK, damping=0.02, **weights), PI
     q = torch.zeros(9, dtype=D)
     for _ in range(150):
         q = FEEDBACK(q, pi, T).q_bar
-        velocity, _ = gradient(BACKBONE, q, pi, FEEDBACK.sensitivity(q, pi), T, SENSORS, DT, torch.tensor(True))
+        velocity, _ = gradient.speed(law_step(FEEDBACK, q, pi, T, DT), None)
         pi = (pi + DT * velocity).clamp(min=0.03)
-    made = LengthBank(PI, FEEDBACK, CURVE, sharpness=0.1, memory=0.0, **weights)  # type: ignore[arg-type]
+    made = LengthBank(PI, FEEDBACK, sharpness=0.1, memory=0.0, **weights)
     found, _ = visits(made, T, 100)
     nominal, astray, best = (
         made.cost(BACKBONE, FEEDBACK(torch.zeros(9, dtype=D), p, T).q_bar, p, T).sqrt() for p in (PI, pi, found)
@@ -208,11 +217,11 @@ def test_a_straight_arm_says_nothing() -> None:
 
 
 def test_memory_is_a_forgetting_mean_of_a_models_visits() -> None:
-    made, seen = bank(memory=0.5), torch.tensor(True)
+    made, q = bank(memory=0.5), torch.zeros(9, dtype=D)
     T, later = measured(BENT), measured(0.8 * BENT)
     _, evidence = visits(made, T, 9)
     alone = made.cost(BACKBONE, made.feedback(evidence.q[0], PI, later).q_bar, PI, later)
-    _, after = made(BACKBONE, PI, PI, None, later, SENSORS, DT, seen, evidence)
+    _, after = made.speed(law_step(FEEDBACK, q, PI, later, DT), evidence)
     keep = torch.exp(-9 * DT / 0.5)
     torch.testing.assert_close(after.cost[0], keep * evidence.cost[0] + (1 - keep) * alone)
 
@@ -230,19 +239,11 @@ def test_a_bad_row_stays_alone_and_waits() -> None:
     assert int(all_seen.turn[1]) == 6
 
 
-def test_in_the_controller_the_bounds_of_the_law_hold() -> None:
-    controller = APCCController(
-        BACKBONE,
-        FEEDBACK,
-        SavitzkyGolay(5, 2),
-        InverseKinematics(1.0),
-        AdaptiveLaw(3, 1.0, "none", lower=0.9 * PI),
-        residual_law=bank(),
-    )
-    T, target = (
-        measured(BENT, candidates(PI, SHARES, SENSORS)[1]),
-        Target(torch.tensor([0.1, 0.1, -0.5], dtype=D), 0 * PI),
-    )
+def test_in_the_controller_the_bounds_hold() -> None:
+    bounds = LengthBounds(PI, reach="free", lower=0.9, upper=None)
+    parts = SavitzkyGolay(5, 2), InverseKinematics(1.0, null_gain=0.05), bank()
+    controller = APCCController(BACKBONE, FEEDBACK, *parts, bounds=bounds)
+    T, target = measured(BENT, models()[1]), Target(torch.tensor([0.1, 0.1, -0.5], dtype=D), 0 * PI)
     state = controller.initial_state(BENT, PI)
     for k in range(40):
         state, command = controller(state, Measurement(T, (k + 1) * DT), target)
@@ -252,7 +253,7 @@ def test_in_the_controller_the_bounds_of_the_law_hold() -> None:
 
 def test_gradients_pass() -> None:
     q = BENT.clone().requires_grad_()
-    pi, _ = visits(bank(), measured(q, candidates(PI, SHARES, SENSORS)[4]), 12)
+    pi, _ = visits(bank(), measured(q, models()[4]), 12)
     (slope,) = torch.autograd.grad(pi[0], q)
     assert bool(torch.isfinite(slope).all()) and bool(slope.any())
 
@@ -266,7 +267,7 @@ def test_gradients_pass() -> None:
         ({"sharpness": -0.1}, "sharpness must be zero or positive"),
         ({"memory": float("nan")}, "memory must be zero or positive"),
         ({"stretch": -0.1}, "stretch must be"),
-        ({"total_range": 1.0}, "total_range must be below 1"),
+        ({"total_range": 1.0}, r"total_range must be in \[0, 1\)"),
         ({"shares": ()}, "shares must be positive"),
         ({"shares": ("long",)}, "shares must be positive"),
         ({"shares": ((0.5, 1.0), ())}, "shares must be positive"),
@@ -277,13 +278,12 @@ def test_gradients_pass() -> None:
 )
 def test_bad_settings(settings: dict[str, object], message: str) -> None:
     with pytest.raises(ValueRangeError, match=message):
-        LengthBank(PI, FEEDBACK, CURVE, **settings)  # type: ignore[arg-type]
+        LengthBank(PI, FEEDBACK, **settings)
 
 
 @pytest.mark.parametrize(
     ("nominal", "shares", "sensors", "message"),
     [
-        (PI, (3.0,), SENSORS, "shares must leave lengths that the sensors can tell"),
         (PI, (1.0,), SENSORS, "needs two sections or more and shares other than 1"),
         (PI[:1], SHARES, SENSORS, "needs two sections or more"),
         (PI, SHARES, SENSORS[:2], "with 3 sections needs at least 3 sensors, got 2"),
@@ -291,4 +291,10 @@ def test_bad_settings(settings: dict[str, object], message: str) -> None:
 )
 def test_a_bank_without_models_is_refused(nominal: Tensor, shares: tuple[float], sensors: Tensor, message: str) -> None:
     with pytest.raises(ConfigError, match=message):
-        candidates(nominal, shares, sensors)
+        models(nominal, shares, sensors)
+
+
+def test_where_no_share_leaves_lengths_that_the_sensors_can_tell_the_nominal_ones_stay() -> None:
+    assert torch.equal(models(PI, (3.0,)), PI.unsqueeze(0))
+    pi, _ = visits(LengthBank(PI, FEEDBACK, shares=(3.0,), **QUICK), measured(BENT), 5)
+    torch.testing.assert_close(pi, PI)

@@ -40,7 +40,7 @@ def problem(seed: int, rows: int = 1) -> tuple[Tensor, Tensor, Tensor, Tensor]:
 
 def test_without_limits_it_is_the_inverse_kinematics() -> None:
     J, v, q, _ = problem(1, rows=50)
-    solver = InverseKinematics(K=1.0, damping=1e-2)
+    solver = InverseKinematics(K=1.0, damping=1e-2, null_gain=0.05)
     qdot, status = ConstrainedVelocity(1e-2)(asked(J, v), B, -INF, INF, solver.descent(q))
     torch.testing.assert_close(qdot, solver(J, torch.zeros_like(v), v, q), rtol=0, atol=1e-9)
     assert bool((status == SolverStatus.FREE).all())

@@ -5,19 +5,19 @@ from __future__ import annotations
 import pytest
 import torch
 
-from apcc_torch.envs.actions import Drive, Limits
-from apcc_torch.envs.arm import Arm
+from apcc_torch.envs.actions import ActionSettings, Drive
 from apcc_torch.errors import ConfigError
+from apcc_torch.model.arm import Arm
 from arm_rows import actions, make
 from arms import configurations
 from laws import generator, uniform
 
-ARM, LIMITS = Arm(), Limits()
+ARM, LIMITS = Arm.load("arm_1"), ActionSettings()
 LIKE = torch.empty(0, dtype=torch.float64)
 
 
 def drive(mode: str) -> Drive:
-    return Drive(mode, ARM, LIMITS, 0.01, LIKE)
+    return Drive(ARM, 0.01, LIKE, action=mode)
 
 
 def test_configuration_velocity() -> None:
@@ -42,8 +42,7 @@ def test_tendon_lengths_are_reached_and_no_rate_is_exceeded() -> None:
         later = tendons(q, wanted / LIMITS.tendon_range)
         assert bool(((later - q).abs() <= 0.01 * tendons.rates + 1e-15).all())
         q = later
-    routing = ARM.routing(LIKE)
-    torch.testing.assert_close(routing.lengths(q, ARM.lengths(LIKE)), wanted, rtol=1e-9, atol=1e-12)
+    torch.testing.assert_close(ARM.routing().lengths(q, ARM.rest_lengths()), wanted, rtol=1e-9, atol=1e-12)
 
 
 @pytest.mark.parametrize("mode", ["configuration_velocity", "task_velocity", "tendon_lengths"])

@@ -5,9 +5,9 @@ from __future__ import annotations
 import torch
 
 from apcc_torch.control.pid import TendonReference
-from apcc_torch.envs.arm import Arm
 from apcc_torch.envs.dynamic import DynamicArm
 from apcc_torch.envs.randomisation import RowParameters
+from apcc_torch.model.arm import Arm
 from apcc_torch.model.dynamics import SoftArmDynamics
 from apcc_torch.model.integrators import ArmState
 from apcc_torch.simulation.plant import Plant
@@ -15,7 +15,7 @@ from arm_rows import row_parameters
 from laws import generator, uniform
 
 LIKE = torch.empty(0, dtype=torch.float64)
-ARM = Arm()
+ARM = Arm.load("arm_1")
 
 
 def varied(n: int) -> RowParameters:
@@ -31,23 +31,23 @@ def varied(n: int) -> RowParameters:
 def alone(rows: RowParameters, i: int) -> Plant:
     """The plant of row i from the paper's numbers, racks at the ends of its own sections."""
     pairs = rows.lengths[i].repeat_interleave(2)
-    lengths = torch.tensor(ARM.plant_lengths, dtype=torch.float64) * pairs
+    lengths = ARM.refined(2) * pairs
     dynamics = SoftArmDynamics(
         lengths,
         lengths / lengths.sum(),
         rows.stiffness[i] * 100.0 * 0.1 / lengths,
         rows.stiffness[i] * 0.778 * 0.1 / lengths,
         damping_ratio=0.1,
-        base_rotation=ARM.base(LIKE),
+        base_rotation=ARM.base_rotation(),
     )
-    routing = ARM.routing(LIKE)
+    routing = ARM.routing()
     routing.anchors = lengths.cumsum(0)[1::2].repeat_interleave(3)
-    return Plant(dynamics, routing, ARM.pid(), rows.payload[i], 200.0)
+    return Plant(dynamics, routing, None, rows.payload[i])
 
 
 def test_rows_are_the_plants_they_would_be_alone() -> None:
     rows = varied(3)
-    arm = DynamicArm(ARM, 0.01, 2, True, LIKE)
+    arm = DynamicArm(ARM, 0.01, True, LIKE, plant={"substeps": 2})
     state = arm.initial(rows)
     y = uniform((3, 9), -0.02, 0.02, torch.float64, generator(2))
     later = arm.step(state, torch.zeros_like(y), y, y, rows)
@@ -62,7 +62,7 @@ def test_rows_are_the_plants_they_would_be_alone() -> None:
 
 def test_starts_at_rest() -> None:
     rows = varied(4)
-    state = DynamicArm(ARM, 0.01, 1, True, LIKE).initial(rows)
+    state = DynamicArm(ARM, 0.01, True, LIKE).initial(rows)
     zero = torch.zeros(9, dtype=torch.float64)
     for i in range(4):
         plant = alone(rows, i)
@@ -75,7 +75,7 @@ def test_starts_at_rest() -> None:
 def test_payload_alone_needs_no_arms_of_their_own() -> None:
     rows = row_parameters(2, payload=torch.tensor([0.0, 0.5], dtype=torch.float64))
     y = torch.full((2, 9), 0.01, dtype=torch.float64)
-    one, other = (DynamicArm(ARM, 0.01, 1, varied, LIKE) for varied in (False, True))
+    one, other = (DynamicArm(ARM, 0.01, varied, LIKE) for varied in (False, True))
     steps = [arm.step(arm.initial(rows), 0 * y, y, y, rows) for arm in (one, other)]
     torch.testing.assert_close(steps[0].arm.q, steps[1].arm.q, rtol=1e-12, atol=1e-14)
     assert float(steps[0].arm.q[1, 2]) > float(steps[0].arm.q[0, 2])  # it hangs lower

@@ -14,7 +14,7 @@ from arm_rows import make
 
 @pytest.mark.parametrize("model", [ConstantStrainBackbone, AffineBackbone])
 def test_the_controller_drives_the_dynamic_arm(model: type[KinematicModel]) -> None:
-    envs = make("apcc/Reach-v0", 2, dynamics="dynamic", action="adaptation", model=model)
+    envs = make("apcc/Reach-v0", 2, dynamics="dynamic", action="adaptation", control={"model": model.settings_type()})
     envs.reset(seed=0)
     assert envs.state is not None and envs.state.q_d.shape == (2, model(3).n)
     goal = envs.state.goal
@@ -28,4 +28,4 @@ def test_the_controller_drives_the_dynamic_arm(model: type[KinematicModel]) -> N
 
 def test_the_kinematic_arm_has_constant_curvature() -> None:
     with pytest.raises(ConfigError, match="model must be PCCBackbone where the arm is kinematic"):
-        make("apcc/Reach-v0", 2, dynamics="kinematic", model=AffineBackbone)
+        make("apcc/Reach-v0", 2, dynamics="kinematic", control={"model": AffineBackbone.settings_type()})

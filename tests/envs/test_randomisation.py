@@ -16,7 +16,14 @@ CPU = torch.device("cpu")
 
 
 def test_draws_fill_their_ranges() -> None:
-    ranges = Ranges((0.9, 1.2), (0.5, 2.0), (0.1, 0.4), (0.0, 1e-3), (1, 3), (0.8, 0.9))
+    ranges = Ranges(
+        lengths=(0.9, 1.2),
+        stiffness=(0.5, 2.0),
+        payload=(0.1, 0.4),
+        noise=(0.0, 1e-3),
+        delay=(1, 3),
+        estimate=(0.8, 0.9),
+    )
     _, rows = ranges.draw(streams(0, 4000, CPU), 3, torch.float64)
     for name in ("lengths", "stiffness", "payload", "noise", "estimate"):
         low, high = getattr(ranges, name)
@@ -30,11 +37,11 @@ def test_draws_fill_their_ranges() -> None:
 @pytest.mark.parametrize(
     ("given", "message"),
     [
-        ({"payload": (0.5, 0.1)}, "payload must be a range with 0 <= low <= high"),
-        ({"payload": (-0.1, 0.1)}, "payload must be a range with 0 <= low <= high"),
-        ({"lengths": (0.0, 1.0)}, r"lengths must be a range with 0\.1 <= low"),
-        ({"noise": 0.001}, r"noise must be a range \(low, high\), got 0.001"),
-        ({"noise": (0.0, float("nan"))}, "noise must be a range"),
+        ({"payload": (0.5, 0.1)}, r"payload must be a range \(low, high\) with low <= high, got \(0.5, 0.1\)"),
+        ({"payload": (-0.1, 0.1)}, "payload must be zero or positive and finite, got -0.1"),
+        ({"lengths": (0.0, 1.0)}, r"lengths must be at least 0\.1 and finite, got 0"),
+        ({"noise": 0.001}, r"noise must be a range \(low, high\) with low <= high, got 0.001"),
+        ({"noise": (0.0, float("nan"))}, "noise must be zero or positive and finite, got nan"),
         ({"delay": (0, 1.5)}, "delay must be a range of whole control periods"),
     ],
 )

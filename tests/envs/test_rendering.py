@@ -8,12 +8,12 @@ import pytest
 import torch
 from gymnasium.utils.env_checker import check_env
 
-from apcc_torch.envs.arm import Arm
 from apcc_torch.errors import ConfigError
+from apcc_torch.model.arm import Arm
 from apcc_torch.report.style import SENSOR, TARGET, faded
 from arm_rows import IDS, make
 
-ARM = Arm()
+ARM = Arm.load("arm_1")
 
 
 def has(frame: np.ndarray, color: str) -> bool:
@@ -42,7 +42,7 @@ def test_tendons_run_beside_the_backbone_up_to_their_racks() -> None:
         envs.step(torch.ones(2, 9))
     picture = envs.picture(1)
     away = (picture.tendons - picture.backbone).norm(dim=-1)
-    ends = torch.tensor(ARM.rest_lengths).cumsum(0).repeat_interleave(3)
+    ends = ARM.rest_lengths().cumsum(0).repeat_interleave(3)
     for tendon, end in zip(away, ends, strict=True):
         there = tendon[torch.isfinite(tendon)]
         torch.testing.assert_close(there, torch.full_like(there, ARM.tendon_offset))

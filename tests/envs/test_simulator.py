@@ -20,7 +20,7 @@ DRAWN = {"lengths": (0.9, 1.1), "noise": (0.0, 1e-3), "delay": (0, 2)}
 )
 def test_a_step_is_one_graph(given: dict[str, Any]) -> None:
     """torch's compiler traces it whole, without a break, and the traced step gives the same bits."""
-    envs = make(num_envs=4, **given)
+    envs = make(num_envs=256, **given)  # so many that small systems are solved alike, see `linalg`
     envs.reset(seed=0)
     step = torch.compile(envs.simulator, backend="eager", fullgraph=True, dynamic=False)
     with torch.no_grad():

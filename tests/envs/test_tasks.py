@@ -5,17 +5,17 @@ from __future__ import annotations
 import pytest
 import torch
 
-from apcc_torch.envs.arm import Arm
 from apcc_torch.envs.streams import streams
-from apcc_torch.envs.tasks import TASKS, Track
+from apcc_torch.envs.tasks import Reach, Shape, Track
 from apcc_torch.model.abscissae import decouple
+from apcc_torch.model.arm import Arm
 from apcc_torch.model.backbone import PCCBackbone
 from apcc_torch.simulation.metrics import shape_error
 from arm_rows import IDS, actions, make
 
-ARM = Arm()
+ARM = Arm.load("arm_1")
 LIKE = torch.empty(0, dtype=torch.float64)
-LENGTHS = ARM.lengths(LIKE).expand(8, 3)
+LENGTHS = ARM.rest_lengths().expand(8, 3)
 
 
 def test_the_tracked_point_moves_at_its_velocity() -> None:
@@ -28,12 +28,12 @@ def test_the_tracked_point_moves_at_its_velocity() -> None:
         torch.testing.assert_close(rate, xdot_d[:, axis])
 
 
-@pytest.mark.parametrize("name", TASKS)
-def test_goals_are_within_reach(name: str) -> None:
+@pytest.mark.parametrize("kind", [Reach, Track, Shape])
+def test_goals_are_within_reach(kind: type[Reach]) -> None:
     """Some configuration of the row's own arm has the goal's points: its sections have their lengths, to 20 mm."""
-    task = TASKS[name](ARM, LIKE)
+    task = kind(ARM, LIKE)
     _, goal = task.draw(streams(3, 8, torch.device("cpu")), LENGTHS)
-    ends = torch.nn.functional.pad(goal.points[:, 1::2], (0, 0, 1, 0))
+    ends = torch.nn.functional.pad(goal.points.sensors, (0, 0, 1, 0))
     chords = ends.diff(dim=1).norm(dim=-1)
     assert bool((chords <= LENGTHS + 0.02 + 1e-9).all()) and bool((chords >= 0.9 * (LENGTHS - 0.02)).all())
 
@@ -46,19 +46,19 @@ def test_reward_is_what_the_documentation_says(name: str) -> None:
     _, reward, _, _, info = envs.step(action)
     state = envs.state
     assert state is not None
-    points = PCCBackbone(3, ARM.base(LIKE)).points(state.q_d, LENGTHS, 61, "material")
+    points = PCCBackbone(3, ARM.base_rotation()).points(state.q_d, LENGTHS, 61, "material")
     if name == "apcc/Shape-v0":
         ends, middles = LENGTHS.cumsum(-1), LENGTHS.cumsum(-1) - 0.5 * LENGTHS
         X = torch.stack((middles, ends), dim=-1).flatten(1)
         at = points.gather(1, (X / 0.6 * 60).round().long().unsqueeze(-1).expand(-1, -1, 3))
-        error, scale = shape_error(state.goal.points, at), 0.05
+        error, scale = shape_error(state.goal.points.backbone, at), 0.05
     elif name == "apcc/Track-v0":
         g = state.goal
         assert g.amplitude is not None and g.omega is not None and g.phase is not None
-        x_d = g.points[:, -1] + g.amplitude * torch.sin(g.omega.unsqueeze(-1) * 0.01 + g.phase)
+        x_d = g.points.backbone[:, -1] + g.amplitude * torch.sin(g.omega.unsqueeze(-1) * 0.01 + g.phase)
         error, scale = (x_d - points[:, -1]).norm(dim=-1), 0.1
     else:
-        error, scale = (state.goal.points[:, -1] - points[:, -1]).norm(dim=-1), 0.1
+        error, scale = (state.goal.points.backbone[:, -1] - points[:, -1]).norm(dim=-1), 0.1
     loose = 5e-3 if name == "apcc/Shape-v0" else 1e-6  # 61 points do not fall on every section's middle
     torch.testing.assert_close(info["error"].double(), error, rtol=0.0, atol=loose)
     want = (error < 0.01).double() - error / scale - 0.01 * action.double().square().mean(-1)
@@ -81,7 +81,7 @@ def test_adaptation_pays_for_the_models_error() -> None:
     _, reward, _, _, info = envs.step(torch.zeros(4, 3))
     state = envs.state
     assert state is not None and state.controller is not None
-    backbone, half = PCCBackbone(3, ARM.base(LIKE)), torch.tensor([0.5, 1.0] * 3, dtype=torch.float64)
+    backbone, half = PCCBackbone(3, ARM.base_rotation()), torch.tensor([0.5, 1.0] * 3, dtype=torch.float64)
     j = torch.tensor([0, 0, 1, 1, 2, 2])
     true = backbone.pose(state.arm.q, LENGTHS[:4], half, j)[..., :3, 3]
     X = torch.stack((LENGTHS[0].cumsum(0) - 0.5 * LENGTHS[0], LENGTHS[0].cumsum(0)), dim=-1).flatten()

@@ -53,7 +53,7 @@ def test_make_vec_takes_the_native_batch_and_its_time_limit() -> None:
     envs = gymnasium.make_vec("apcc/Reach-v0", num_envs=2)
     assert type(envs).__name__ == "ReachVectorEnv" and envs.metadata["autoreset_mode"] is AutoresetMode.NEXT_STEP
     assert envs.spec is not None and envs.spec.kwargs["vectorization_mode"] == "vector_entry_point"
-    assert envs.simulator.setup.max_episode_steps == envs.spec.max_episode_steps == 300  # type: ignore[attr-defined]
+    assert envs.simulator.max_episode_steps == envs.spec.max_episode_steps == 300  # type: ignore[attr-defined]
     copies = gymnasium.make_vec("apcc/Reach-v0", num_envs=2, vectorization_mode="sync")
     assert copies.reset(seed=0)[0].shape == (2, 42)
 
@@ -187,7 +187,12 @@ def test_single_precision_follows_double(dynamics: str) -> None:
         ({"dtype": "float16"}, ConfigError, "dtype must be one of float64, float32, got 'float16'"),
         ({"autoreset_mode": "LATER"}, ConfigError, "autoreset_mode must be one of NEXT_STEP"),
         ({"control_rate": 0.0}, ValueRangeError, "control_rate must be positive and finite, got 0.0"),
-        ({"substeps": 0}, ValueRangeError, "substeps must be positive and finite, got 0"),
+        ({"plant": {"substeps": 0}}, ValueRangeError, r"plant\.substeps must be at least 1 and finite, got 0"),
+        ({"plant": {"substep": 2}}, ConfigError, r"plant\.substep is no setting; did you mean substeps\?"),
+        ({"control": {"gama": 2.0}}, ConfigError, "a controller has no setting 'gama'; did you mean gamma\\?"),
+        ({"control": {"adaptation": None}, "action": "adaptation"}, ConfigError, "adaptation must be an AdaptiveLaw"),
+        ({"payloads": (0.0, 1.0)}, ConfigError, "ReachEnv has no setting 'payloads'; did you mean payload\\?"),
+        ({"bend_rate": torch.tensor(1.0)}, ConfigError, "bend_rate must be a number"),
         ({"num_envs": 0}, ValueRangeError, "num_envs must be at least 1, got 0"),
         ({"render_mode": "ansi"}, ConfigError, "render_mode must be one of rgb_array, got 'ansi'"),
     ],

@@ -9,7 +9,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from apcc_torch.errors import GradientError, ValueRangeError
+from apcc_torch.errors import ConfigError, GradientError
 from apcc_torch.estimation.feedback import Feedback, FeedbackStatus
 from apcc_torch.estimation.state_feedback import StateFeedback
 from apcc_torch.lie import se3
@@ -191,5 +191,5 @@ def test_functional_gradients_and_single_precision() -> None:
 
 
 def test_an_unknown_gradient_is_refused() -> None:
-    with pytest.raises(ValueRangeError, match="gradient must be one of implicit, unrolled"):
+    with pytest.raises(ConfigError, match="gradient must be one of implicit, unrolled"):
         StateFeedback(PCCBackbone(3, HANGING_BASE), FOUR, gradient="exact")

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from apcc_torch.errors import ConfigError, ValueRangeError
-from apcc_torch.estimation.load_from_shape import HeldShape, ShapeNoise
+from apcc_torch.estimation.load_from_shape import LoadFromShape, ShapeNoise
 from apcc_torch.estimation.weighted_estimate import EstimateStatus
 from apcc_torch.simulation.sensors import PoseSensors
 from arms import PI
@@ -31,23 +31,23 @@ def given(rest: Resting, name: str) -> dict[str, Any]:
 @pytest.mark.parametrize("name", list(GIVEN))
 def test_a_payload_and_a_force_are_found(name: str) -> None:
     rest = at_rest(3, PAYLOAD, SIX)
-    found = HeldShape(arm(SIX), ROUTING, RACKS)(rest.y, **given(rest, name))
+    found = LoadFromShape(arm(SIX), ROUTING, RACKS)(rest.y, **given(rest, name))
     assert bool(found.converged.all()) and (found.load.status == EstimateStatus.DETERMINED).all()
     torch.testing.assert_close(found.load.value[:, 0], PAYLOAD, rtol=1e-4, atol=1e-5)
     torch.testing.assert_close(found.q, rest.q, rtol=0.0, atol=1e-4)
     torch.testing.assert_close(found.u, rest.u, rtol=0.0, atol=1e-3)
     rest = at_rest(3, None, SIX, force=FORCES)
     # What the shape tells of a vertical force on an arm that hangs is little: some 10 N at these sensors' noise.
-    found = HeldShape(arm(SIX), ROUTING, RACKS, "force", limit=50.0)(rest.y, **given(rest, name))
+    found = LoadFromShape(arm(SIX), ROUTING, RACKS, "force", limit=50.0)(rest.y, **given(rest, name))
     torch.testing.assert_close(found.load.value, FORCES, rtol=1e-3, atol=1e-4)
 
 
 def test_lengths_that_say_the_whole_shape_leave_nothing_for_the_load() -> None:
     """Nine inextensible tendons on nine coordinates: the shape does not depend on the load."""
     rest = at_rest(3, PAYLOAD)
-    blind = HeldShape(arm(PI), ROUTING, RACKS)(rest.y, T=rest.T)
+    blind = LoadFromShape(arm(PI), ROUTING, RACKS)(rest.y, T=rest.T)
     assert (blind.load.status == EstimateStatus.UNDETERMINED).all() and bool(blind.load.value.isnan().all())
-    pulled = HeldShape(arm(PI), ROUTING, RACKS)(rest.y, u=rest.u)
+    pulled = LoadFromShape(arm(PI), ROUTING, RACKS)(rest.y, u=rest.u)
     torch.testing.assert_close(pulled.load.value[:, 0], PAYLOAD, rtol=1e-4, atol=1e-5)
 
 
@@ -60,7 +60,7 @@ def test_its_deviation_is_the_spread_under_noise() -> None:
     seen = sensors(sensors.initial_state(T), T, generator(1))[1]
     y = rest.y + 1e-4 * normal((count, 9), D, generator(2))
     u = rest.u + 0.1 * normal((count, 9), D, generator(3))
-    h = HeldShape(arm(FOUR), ROUTING, RACKS, noise=noise, iterations=3)
+    h = LoadFromShape(arm(FOUR), ROUTING, RACKS, noise=noise, iterations=3)
     deviations = {}
     for name, readings in {"shape": (seen, None), "tensions": (None, u), "both": (seen, u)}.items():
         load = h(y, *readings).load
@@ -72,7 +72,7 @@ def test_its_deviation_is_the_spread_under_noise() -> None:
 
 def test_a_sensor_left_out_or_lost_does_not_count() -> None:
     rest = at_rest(2, PAYLOAD[1:], SIX)
-    h = HeldShape(arm(SIX), ROUTING, RACKS)
+    h = LoadFromShape(arm(SIX), ROUTING, RACKS)
     lost = rest.T.clone()
     lost[:, 1] = torch.nan
     wrong = rest.T.clone()
@@ -85,7 +85,7 @@ def test_a_sensor_left_out_or_lost_does_not_count() -> None:
 
 def test_bad_rows_stay_alone() -> None:
     rest = at_rest(3, PAYLOAD, SIX)
-    h = HeldShape(arm(SIX), ROUTING, RACKS)
+    h = LoadFromShape(arm(SIX), ROUTING, RACKS)
     bad = rest.y.clone()
     bad[0] = torch.nan
     found = h(bad, rest.T, rest.u)
@@ -94,10 +94,10 @@ def test_bad_rows_stay_alone() -> None:
 
 
 def test_bad_input_is_named() -> None:
-    h = HeldShape(arm(SIX), ROUTING, RACKS)
+    h = LoadFromShape(arm(SIX), ROUTING, RACKS)
     with pytest.raises(ConfigError, match="poses T, tendon forces u"):
         h(torch.zeros(9, dtype=D))
     with pytest.raises(ConfigError, match="unknown must be"):
-        HeldShape(arm(SIX), ROUTING, RACKS, "torque")
+        LoadFromShape(arm(SIX), ROUTING, RACKS, "torque")
     with pytest.raises(ValueRangeError, match=r"noise\.tension"):
-        HeldShape(arm(SIX), ROUTING, RACKS, noise=ShapeNoise(tension=0.0))
+        LoadFromShape(arm(SIX), ROUTING, RACKS, noise=ShapeNoise(tension=0.0))

@@ -10,14 +10,23 @@ import torch
 from scipy.spatial.transform import Rotation
 from torch import Tensor
 
-from apcc_torch.errors import ShapeError, ValueRangeError
-from apcc_torch.estimation.sensor_gate import GateState, GateVerdict, Reason, SensorGate, count_reasons, gate_recording
+from apcc_torch.errors import ConfigError, ValueRangeError
+from apcc_torch.estimation.sensor_gate import (
+    GateState,
+    GateVerdict,
+    Reason,
+    SensorGate,
+    SensorGateSettings,
+    count_reasons,
+    gate_recording,
+)
 from apcc_torch.lie.rotations import rotation_angle
 from apcc_torch.recordings.recording import load_recording
 from apcc_torch.recordings.rest_pose import calibrate, poses_of
 from laws import check_bad_row, check_batching, generator, uniform
 
 ALL = torch.ones(2, dtype=torch.bool)
+SENSORS = torch.tensor([0.1, 0.2], dtype=torch.float64)
 
 
 def turned(*rotvec: float) -> Tensor:
@@ -82,7 +91,7 @@ def broken(what: str) -> Tensor:
 def test_each_bad_frame_has_its_reason_and_leaves_the_other_sensor(
     what: str, position: Reason, orientation: Reason
 ) -> None:
-    gate = SensorGate(2, max_reach=[0.15, 0.3])
+    gate = SensorGate(SENSORS)
     state, verdict = gate(started(gate), broken(what), ALL, now(0.01))
     assert reasons(verdict) == ([Reason.OK, position], [Reason.OK, orientation])
     assert bool(state.poses().isfinite().all())
@@ -91,14 +100,14 @@ def test_each_bad_frame_has_its_reason_and_leaves_the_other_sensor(
 
 
 def test_untracked() -> None:
-    gate = SensorGate(2)
+    gate = SensorGate(SENSORS)
     _, verdict = gate(started(gate), frame() * torch.nan, torch.tensor([False, True]), now(0.01))
     assert reasons(verdict) == ([Reason.UNTRACKED, Reason.NON_FINITE], [Reason.UNTRACKED, Reason.NON_FINITE])
     assert not bool(verdict.position_ok.any())
 
 
 def test_what_an_arm_cannot_do() -> None:
-    gate = SensorGate(2, max_bend=1.0, max_twist=0.5)
+    gate = SensorGate(SENSORS, max_bend=1.0, max_twist=0.5)
     state = gate.initial_state(frame(), now(0.0))
 
     def orientation(first: Tensor, second: Tensor) -> list[int]:
@@ -117,7 +126,7 @@ def test_what_an_arm_cannot_do() -> None:
 
 
 def test_a_jump_is_held_back_and_a_true_move_is_found_again() -> None:
-    gate = SensorGate(2, max_angular_rate=2.0, angle_margin=0.1, max_speed=1.0, position_margin=0.01)
+    gate = SensorGate(SENSORS, max_angular_rate=2.0, angle_margin=0.1, max_speed=1.0, position_margin=0.01)
     state, moved = started(gate), frame(None, turned(0.5, 0, 0))
     moved[1, 0, 3] = 0.1
     accepted = []
@@ -130,7 +139,7 @@ def test_a_jump_is_held_back_and_a_true_move_is_found_again() -> None:
 
 
 def test_a_swap_that_stays_is_never_followed_where_an_arm_cannot_do_it() -> None:
-    gate = SensorGate(2)
+    gate = SensorGate(SENSORS)
     state, swapped = started(gate), frame(None, turned(0, math.pi, 0))
     for i in range(1, 300):
         state, verdict = gate(state, swapped, ALL, now(0.1 * i))
@@ -140,7 +149,7 @@ def test_a_swap_that_stays_is_never_followed_where_an_arm_cannot_do_it() -> None
 
 
 def test_repeated_and_backward_stamps_allow_no_more_than_the_margin() -> None:
-    gate = SensorGate(2, position_margin=0.02)
+    gate = SensorGate(SENSORS, position_margin=0.02)
     for time in (0.0, -5.0):
         near, far = frame(), frame()
         near[:, 0, 3], far[:, 0, 3] = 0.019, 0.021
@@ -149,7 +158,7 @@ def test_repeated_and_backward_stamps_allow_no_more_than_the_margin() -> None:
 
 
 def test_batching_and_bad_rows() -> None:
-    gate = SensorGate(3, max_reach=2.0)
+    gate = SensorGate(torch.ones(3, dtype=torch.float64), reach=2.0)
 
     def op(turns: Tensor, places: Tensor) -> tuple[GateState, GateVerdict]:
         """Three frames made of rotation angles (..., 3 frames, 3 sensors) and places (..., 3 frames, 3 sensors, 3)."""
@@ -175,25 +184,35 @@ def test_batching_and_bad_rows() -> None:
 @pytest.mark.parametrize(
     ("keywords", "error", "named"),
     [
-        ({"sensors": 0}, ValueRangeError, "sensors"),
+        ({"reach": 0.0}, ValueRangeError, "reach"),
         ({"max_speed": 0.0}, ValueRangeError, "max_speed"),
         ({"max_twist": math.nan}, ValueRangeError, "max_twist"),
-        ({"max_bend": [1.0, 1.0, 1.0]}, ShapeError, "max_bend"),
+        ({"max_bend": [1.0, 1.0, 1.0]}, ConfigError, "max_bend"),
         ({"rotation_tolerance": 0.0}, ValueRangeError, "rotation_tolerance"),
     ],
 )
 def test_bad_settings_are_named(keywords: dict[str, object], error: type[Exception], named: str) -> None:
     with pytest.raises(error, match=f"^{named} must"):
-        SensorGate(**{"sensors": 2, **keywords})
+        SensorGate(SENSORS, **keywords)
 
 
-def test_infinite_limits_switch_a_check_off() -> None:
-    gate = SensorGate(2, max_bend=[math.inf, 1.0], max_twist=math.inf)
+def test_half_a_turn_and_no_reach_switch_a_check_off() -> None:
+    gate = SensorGate(SENSORS, max_bend=[math.pi, 1.0], max_twist=math.pi, reach=None)
     state = gate.initial_state(frame(), now(0.0))
     _, verdict = gate(state, frame(turned(3.1, 0, 0), turned(1.9, 0, 0)), ALL, now(0.0))
     assert verdict.orientation_reason.tolist() == [Reason.OK, Reason.TOO_BENT]
     _, verdict = gate(state, frame(turned(0, 0, 3.1), turned(0, 0, 2.9)), ALL, now(0.0))
     assert verdict.orientation_reason.tolist() == [Reason.OK, Reason.OK]
+
+
+def test_a_saved_gate_comes_back_with_every_limit() -> None:
+    gate = SensorGate(SENSORS, max_speed=3.0, max_bend=[1.0, 2.0], reach=None)
+    other = SensorGate(0.5 * SENSORS)
+    other.load_state_dict(gate.state_dict())
+    assert (other.max_speed, other.reach) == (3.0, None) and "max_speed=3.0" in repr(other)
+    for name, value in gate.named_buffers():
+        assert torch.equal(other.get_buffer(name), value), name
+    assert SensorGate(SENSORS, SensorGateSettings(max_twist=0.5)).max_twist.tolist() == [0.5, 0.5]
 
 
 # Stretches of the recording, and how many frames in each have disk 3 swapped, counted by hand from its jumps.
@@ -205,7 +224,7 @@ def test_the_marker_swaps_of_the_recorded_trunk_are_gated(first: int, last: int,
     # Swapped, by the disks themselves: disk 2 is turned by over 110 degrees against disk 1, which is never swapped.
     swapped = rotation_angle(T[:, 0, :3, :3], T[:, 1, :3, :3]) > 1.92
     assert int(swapped.sum()) == 1048
-    gate = SensorGate(3, max_reach=(1.5 * c.abscissae).tolist())
+    gate = SensorGate(c.abscissae)
     window = slice(first, last)
     held, verdict = gate_recording(gate, T[window], recording.tracked[window], recording.times[window])
     assert torch.equal(~verdict.orientation_ok[:, 1], swapped[window])

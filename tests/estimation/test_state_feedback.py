@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 from torch.func import jacfwd
 
-from apcc_torch.errors import DtypeError, ShapeError, ValueRangeError
+from apcc_torch.errors import ApccError, ConfigError, DtypeError, ShapeError, ValueRangeError
 from apcc_torch.estimation.feedback import Feedback, FeedbackStatus
 from apcc_torch.estimation.state_feedback import StateFeedback
 from apcc_torch.lie import se3, so3
@@ -389,7 +389,7 @@ def test_what_follows_an_inference_is_the_sensitivity_at_its_end(mode: str, dtyp
     inference = estimator.infer(seed.to(dtype), PI.to(dtype), T.to(dtype), mask)
     for have, want in zip(inference.feedback, estimator(seed.to(dtype), PI.to(dtype), T.to(dtype), mask), strict=True):
         assert torch.equal(have, want)
-    chain, have = estimator.followed(inference, torch.Size((2, 5)))
+    chain, have = estimator.chain_and_sensitivity(inference, torch.Size((2, 5)))
     q_bar = inference.feedback.q_bar
     assert have.dtype == dtype
     torch.testing.assert_close(chain.tip, estimator.backbone.tip(q_bar, PI.to(dtype)).expand(2, 5, 3))
@@ -425,11 +425,11 @@ def test_refusals() -> None:
         StateFeedback(backbone, X[0])
     with pytest.raises(DtypeError, match="abscissae must be a floating-point tensor"):
         StateFeedback(backbone, torch.tensor([1, 2]))
-    with pytest.raises(ValueRangeError, match="mode must be one of position, pose, hierarchical"):
+    with pytest.raises(ConfigError, match="mode must be one of position, pose, hierarchical"):
         StateFeedback(backbone, X, "poses")
     for name in ("angular_weight", "max_iterations", "linear_threshold", "angular_threshold", "bend_step", "damping"):
         for value in (0, -1.0, float("nan"), float("inf")):
-            with pytest.raises(ValueRangeError, match=name):
+            with pytest.raises(ApccError, match=f"^{name} must be"):
                 StateFeedback(backbone, X, **{name: value})
     with pytest.raises(ValueRangeError, match="min_iterations"):
         StateFeedback(backbone, X, max_iterations=3, min_iterations=4)

@@ -11,11 +11,11 @@ import pytest
 
 from apcc_torch.composition.build_realtime import RealtimeBuilder
 from apcc_torch.composition.calibrated import calibrated, load_calibration
-from apcc_torch.composition.realtime import RealtimeConfig
+from apcc_torch.composition.realtime import RealtimeSettings
 from apcc_torch.errors import ConfigError, DataError, SafetyError
 from apcc_torch.experiments import calibrate as arm_calibration
 from apcc_torch.experiments import realtime_run as realtime
-from apcc_torch.hardware.calibration_confirmation import CalibrationTolerances, check_base
+from apcc_torch.hardware.calibration_confirmation import ConfirmationSettings, check_base
 from apcc_torch.hardware.calibration_file import ArmCalibration
 from apcc_torch.hardware.interfaces import PoseSensor
 from apcc_torch.hardware.log_reader import read_log
@@ -23,18 +23,18 @@ from apcc_torch.hardware.stops import StopReason
 from composed import composed_realtime
 
 QUICK = (
-    "hardware.simulated.lockstep=true", "hardware.simulated.step=0.01", "plant.settle=0.5", "loop.hold=0.0",
+    "hardware=lockstep", "hardware.world.step=0.01", "plant.settle=0.5", "loop.hold=0.0",
     "calibration.frames=10", "loop.warm_up=3", "loop.fresh_frames=1", "experiment.duration=0.1", "view=false",
 )  # fmt: skip
 
 
-def settings(experiment: str, *overrides: str) -> RealtimeConfig:
+def settings(experiment: str, *overrides: str) -> RealtimeSettings:
     return composed_realtime(f"experiment={experiment}", *QUICK, *overrides)
 
 
 def go(folder: Path, *overrides: str) -> tuple[StopReason, str]:
     folder.mkdir(exist_ok=True)
-    outcome, _ = realtime.run(settings("setpoint", *overrides), "robot: {}", folder)
+    outcome, _ = realtime.run(settings("setpoint", *overrides), folder)
     return outcome.reason, outcome.message
 
 
@@ -81,7 +81,7 @@ def test_the_model_takes_what_was_measured_where_it_fits(file: Path) -> None:
         ("calibration.id=0123456789ab", "calibration.id is 0123456789ab"),
         ("robot.base=standing", "robot.base is standing, and was hanging"),
         ("calibration.file=nowhere.json", "nowhere.json cannot be read"),
-        ("hardware=dynamixel_optitrack", "hardware.dynamixel.ids is .*, and was None"),
+        ("hardware=dynamixel_optitrack", r"hardware\.actuator\.ids is .*, and was None"),
     ],
 )
 def test_one_that_does_not_fit_is_refused_in_one_sentence(file: Path, override: str, sentence: str) -> None:
@@ -128,11 +128,11 @@ def test_a_base_that_moved_is_noticed(file: Path) -> None:
 
     sensor = Elsewhere()
     found = replace(ArmCalibration.load(file), base=np.eye(4).tolist())
-    check_base(found, sensor, CalibrationTolerances())
+    check_base(found, sensor, ConfirmationSettings())
     sensor.base = np.eye(4)
     sensor.base[0, 3] = 0.006
     with pytest.raises(SafetyError, match=r"moved by 6\.0 mm"):
-        check_base(found, sensor, CalibrationTolerances())
+        check_base(found, sensor, ConfirmationSettings())
 
 
 def test_a_wrong_sign_is_found_by_pulling(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

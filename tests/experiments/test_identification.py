@@ -6,24 +6,27 @@ import json
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import torch
 from hydra import compose, initialize_config_dir
 from hydra.core.config_store import ConfigStore
+from omegaconf import OmegaConf
 
-from apcc_torch.composition import identify as settings
-from apcc_torch.composition.conf_path import conf_path
-from apcc_torch.composition.identify import IdentifyConfig
-from apcc_torch.composition.typed import typed
-from apcc_torch.experiments.identification import Task, compare, error, identified, without_friction
+from apcc_torch.composition import identify as composition
+from apcc_torch.composition.identify import IdentifySettings
+from apcc_torch.conf_path import conf_path
+from apcc_torch.experiments.identification import Task, compare, error, identified
 from apcc_torch.identification.split import split, thinned
 from apcc_torch.identification.tendon_arm import TendonArm
+from apcc_torch.model.arm import Arm
+from apcc_torch.reading import defaults, read
 from commands import environment
-from identified_arms import FITTED, parameters, write_recording
+from identified_arms import FIT, FITTED, READ, parameters, write_recording
 
-ConfigStore.instance().store(name="identify_schema", node=IdentifyConfig)
+ConfigStore.instance().store(name="identify_defaults", node=defaults(IdentifySettings))
 
 
 def _identify(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
@@ -35,8 +38,8 @@ def _identify(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]
 
 def test_a_recording_of_ones_own_from_the_command_line(tmp_path: Path) -> None:
     path = write_recording(tmp_path)
-    done = _identify(tmp_path, "--config-dir", str(tmp_path), "arm=small", f"data={path}", "hydra.run.dir=out")
-    assert done.returncode == 0, done.stderr
+    done = _identify(tmp_path, "arm=small.yaml", f"data={path}", *READ, *FIT, "hydra.run.dir=out")
+    assert done.returncode == 0, done.stdout + done.stderr
     out = tmp_path / "out"
     metrics = json.loads((out / "metrics.json").read_text())
     # White noise of 0.1 mm a coordinate leaves 0.17 mm of distance.
@@ -64,6 +67,19 @@ def test_a_recording_of_ones_own_from_the_command_line(tmp_path: Path) -> None:
         *("models.png", "prediction.png", "residual.png", "parameters.png")
     }
 
+    text = (out / "arm.yaml").read_text()
+    assert text.startswith(f"# small, from {path} by python -m apcc_torch.identify")
+    result = Arm.load(out / "arm.yaml")
+    assert result.bending_rigidity == pytest.approx(values["bending_rigidity"].tolist(), rel=0.05)
+    assert result.lengths == (0.1, 0.1)
+
+    # What was identified is as good a start as any arm's file: it is already at rest where the recording is.
+    short = ("fit.steps=1", "fit.rounds=1", "fit.samples=24", "online.samples=5", "figures=false")
+    again = _identify(tmp_path, "arm=out/arm.yaml", f"data={path}", *READ, *FIT, *short, "hydra.run.dir=again")
+    assert again.returncode == 0, again.stdout + again.stderr
+    there = json.loads((tmp_path / "again" / "metrics.json").read_text())
+    assert there["arm_identified_tip_rmse_mm"] == pytest.approx(metrics["arm_identified_tip_rmse_mm"], rel=0.1)
+
 
 def test_wrong_files_end_in_one_sentence(tmp_path: Path) -> None:
     done = _identify(tmp_path, "data=nothing.csv")
@@ -81,15 +97,15 @@ def _errors(data: Path, arm: str, samples: int) -> tuple[dict[str, float], int, 
     """Tip errors on what was held back, mm, the number of samples of the fit and of linear regression."""
     with initialize_config_dir(conf_path(), version_base="1.3"):
         overrides = [f"arm={arm}", f"data={data}", f"fit.samples={samples}", "fit.rounds=2"]
-        config = typed(compose("identify", overrides), IdentifyConfig)
-    series = settings.read(config)
-    layout = settings.layout(config, series)
-    parts = split(series.groups, config.split.by, config.split.folds, config.split.fold)
+        values: Any = OmegaConf.to_container(compose("identify", overrides))
+    settings = read(values, IdentifySettings)
+    series = composition.recorded(settings)
+    parts = split(series.groups, settings.split)
     used = thinned(parts.training, samples)
     assert not set(used.tolist()) & set(parts.validation.tolist())
-    drive = series.drive(config.fit.history, config.fit.slide_travel)
-    task = Task(series, drive, used, config, lambda line: None)
-    model = identified(task, TendonArm(layout), without_friction(settings.parameters(config, layout), config))
+    drive = series.drive(settings.fit.history, settings.fit.slide_travel)
+    task = Task(series, drive, used, settings.fit, lambda line: None)
+    model = identified(task, TendonArm(settings.arm), composition.parameters(settings))
     predictions = compare(series, parts, used) | {"arm": model.prediction}
     held = parts.validation
     found = {name: error(series.positions[held, -1], p[held, -1]) for name, p in predictions.items()}

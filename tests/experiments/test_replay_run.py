@@ -12,7 +12,7 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from apcc_torch.errors import ConfigError, DataError
-from apcc_torch.estimation.rest_calibration import Calibration
+from apcc_torch.estimation.rest_calibration import RestCalibration
 from apcc_torch.experiments import replay
 from apcc_torch.model.abscissae import decouple
 from apcc_torch.model.backbone import PCCBackbone
@@ -65,7 +65,7 @@ def test_folder_holds_what_was_returned_and_the_arm_is_followed(recorded: Path, 
     assert metrics["frames"] == FRAMES and metrics["gated_position_frames_tip"] == 0
     assert metrics["sensor_error_linear_mean_mm"] < 0.5 and metrics["sensor_error_angular_mean_rad"] < 0.01
     assert (tmp_path / "figures" / "replay.png").is_file() and (tmp_path / "versions.json").is_file()
-    calibration = Calibration.load(tmp_path / "calibration.json")
+    calibration = RestCalibration.load(tmp_path / "calibration.json")
     torch.testing.assert_close(calibration.abscissae, LENGTHS.cumsum(0), rtol=0, atol=1e-4)
     with np.load(tmp_path / "trajectory.npz") as data:
         assert set(data) == set(ReplayLog._fields)

@@ -167,7 +167,7 @@ def dropped(name: str, make: Make, body: str) -> Fault:
 
 def ended(name: str, make: Make, said: str) -> Fault:
     """A source of poses that is no more."""
-    return Fault(name, make, R.SENSOR_LOST, said, HELD, settings=(SLOW, "hardware.optitrack.timeout=0.7"))
+    return Fault(name, make, R.SENSOR_LOST, said, HELD, settings=(SLOW, "hardware.sensor.timeout=0.7"))
 
 
 def overrun(name: str, make: Make) -> Fault:
@@ -209,7 +209,7 @@ MOTORS_WRONG = [
 CAMERAS_WRONG = [
     stale("no body tracked", mocap(untracked=BODIES)),
     dropped("one body untracked", mocap(untracked=[3]), "2"),
-    stale("frozen poses", mocap(frozen=BODIES), "hardware.optitrack.frozen_frames=5"),
+    stale("frozen poses", mocap(frozen=BODIES), "hardware.sensor.frozen_frames=5"),
     ended("a frozen frame number", mocap(frozen_number=True), "the frame number stays at"),
     stale("late frames", mocap(delay=0.7)),
     dropped("a body that jumps out of reach", mocap(jump={2: (0.3, 0, 0)}), "1"),
@@ -238,6 +238,6 @@ WRONG_FROM_THE_START = [
     first("a motor that is not there", servo("mute"), f"{NAME}: no reply"),
     first("no port", unplug, "servos"),
     first("an unknown version", version(5, 0), r"streams NatNet 5\.0; known are 3\.0"),
-    first("no cameras", mocap(mute=True), "no NatNet server answers", "hardware.optitrack.connect_timeout=0.5"),
+    first("no cameras", mocap(mute=True), "no NatNet server answers", "hardware.sensor.connect_timeout=0.5"),
     first("untracked from the start", mocap(untracked=[3]), "complete", "loop.fresh_timeout=0.5", reason=R.NOT_ARMED),
 ]

@@ -12,7 +12,7 @@ from functools import cache
 from pathlib import Path
 
 import apcc_torch
-from apcc_torch.composition.realtime import RealtimeConfig
+from apcc_torch.composition.realtime import RealtimeSettings
 from apcc_torch.experiments import calibrate as arm_calibration
 from apcc_torch.hardware.stops import StopReason
 from composed import composed_realtime
@@ -23,8 +23,8 @@ ROOT = Path(apcc_torch.__file__).resolve().parents[1]
 PATIENT = (
     "loop.warm_up=5", "loop.fresh_timeout=60", "loop.fresh_frames=2", "loop.hold=0.2", "guards.overruns=100000",
     "guards.sensing.max_age=100", "guards.sensing.stale=100", "guards.sensing.dropout=100",
-    "guards.sensing.max_speed=100", "guards.sensing.max_angular_rate=1000", "guards.max_error=null",
-    "hardware.optitrack.timeout=30", "calibration.frames=5", "calibration.timeout=60", "view=false",
+    "guards.sensing.gate.max_speed=100", "guards.sensing.gate.max_angular_rate=1000", "guards.max_error=null",
+    "hardware.sensor.timeout=30", "calibration.frames=5", "calibration.timeout=60", "view=false",
     "experiment.duration=100", "compile=off",
 )  # fmt: skip
 SLOW = "controller.K=0.02"  # a run that does not arrive before something happens to it
@@ -43,7 +43,7 @@ def calibrated(platform: EmulatedPlatform, folder: Path) -> Path:
 
 
 @cache
-def _calibrating(*overrides: str) -> RealtimeConfig:
+def _calibrating(*overrides: str) -> RealtimeSettings:
     return composed_realtime("experiment=calibration", *overrides, *PATIENT)
 
 

@@ -68,7 +68,7 @@ def test_a_base_that_was_moved_since_the_calibration_is_not_armed(
     platform.arm.base = moved
     platform.cameras.set_poses(platform.arm)
     try:
-        outcome, _ = realtime.run(composed_realtime(*arguments(platform, calibration)), "", tmp_path)
+        outcome, _ = realtime.run(composed_realtime(*arguments(platform, calibration)), tmp_path)
     finally:
         platform.arm.base = before
         platform.cameras.set_poses(platform.arm)
@@ -80,5 +80,5 @@ def test_motors_that_lost_power_since_the_calibration_are_not_armed(
     platform: EmulatedPlatform, calibration: Path, tmp_path: Path
 ) -> None:
     platform.servos.do("restart", MOTORS[6])
-    outcome, _ = realtime.run(composed_realtime(*arguments(platform, calibration)), "", tmp_path)
+    outcome, _ = realtime.run(composed_realtime(*arguments(platform, calibration)), tmp_path)
     assert outcome.reason is StopReason.NOT_ARMED and "motor 7 (id 17) lost power" in outcome.message

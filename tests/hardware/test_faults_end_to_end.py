@@ -165,7 +165,7 @@ def test_a_disk_that_fills_up(scene: Scene) -> None:
 
 def test_kill_9(scene: Scene) -> None:
     """Nobody is left to stop the motors: they do it themselves, and hold; the log is whole up to its last second."""
-    with program(scene.platform, scene.calibration, SLOW, "hardware.dynamixel.bus_watchdog=0.5") as run:
+    with program(scene.platform, scene.calibration, SLOW, "hardware.actuator.bus_watchdog=0.5") as run:
         until(lambda: logged(scene.folder, "running") and moving(scene.platform))
         run.kill()
         run.wait(timeout=DEADLINE)

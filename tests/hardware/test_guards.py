@@ -8,10 +8,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from apcc_torch.errors import SafetyError, ValueRangeError
+from apcc_torch.errors import ConfigError, SafetyError, ValueRangeError
 from apcc_torch.hardware.guards import Dwell, Guards, GuardSettings
 from apcc_torch.hardware.states import ALLOWED, State, StateMachine
-from apcc_torch.hardware.stops import Ending, StopReason, endings, exit_code_table
+from apcc_torch.hardware.stops import Ending, StopReason, exit_code_table
 from fake_runs import LIMITS
 
 
@@ -25,7 +25,7 @@ def test_a_dwell_is_over_after_an_unbroken_row(conditions: list[bool], turns: in
 
 @given(st.lists(st.floats(0.0, 0.5), max_size=30), st.integers(0, 5))
 def test_the_overrun_budget_counts_within_its_window(gaps: list[float], budget: int) -> None:
-    guards = Guards(GuardSettings(1.0, overruns=budget, overrun_window=1.0), LIMITS)
+    guards = Guards(GuardSettings(overruns=budget, overrun_window=1.0), LIMITS)
     times: list[float] = []
     for gap in gaps:
         times.append((times[-1] if times else 0.0) + gap)
@@ -34,7 +34,7 @@ def test_the_overrun_budget_counts_within_its_window(gaps: list[float], budget: 
 
 
 def test_readings_and_commands_fail_apart() -> None:
-    guards = Guards(GuardSettings(1.0, failed_exchanges=3), LIMITS)
+    guards = Guards(GuardSettings(failed_exchanges=3), LIMITS)
     error = OSError("gone")
     assert guards.on_failed_send(error) is None and guards.on_failed_read(error) is None
     assert guards.on_failed_send(error) is None and guards.failed == 2
@@ -47,11 +47,17 @@ def test_readings_and_commands_fail_apart() -> None:
 
 @pytest.mark.parametrize(
     "change",
-    [{"duration": 0.0}, {"arrival_error": -1.0}, {"effort_dwell": -0.1}, {"failed_exchanges": 0}, {"max_error": 0.0}],
+    [
+        {"arrival_error": 0.0},
+        {"arrival_error": -1.0},
+        {"effort_dwell": -0.1},
+        {"failed_exchanges": 0},
+        {"max_error": 0.0},
+    ],
 )
 def test_limits_must_mean_something(change: dict[str, float]) -> None:
-    with pytest.raises(ValueRangeError, match=next(iter(change))):
-        GuardSettings(**{"duration": 1.0, **change})  # type: ignore[arg-type]
+    with pytest.raises(ValueRangeError, match=f"^{next(iter(change))} must"):
+        GuardSettings(**change)  # type: ignore[arg-type]
 
 
 def test_codes_are_those_of_the_manual() -> None:
@@ -66,13 +72,13 @@ def test_codes_are_those_of_the_manual() -> None:
 
 
 def test_endings_are_the_tables_and_the_changes() -> None:
-    table = endings({"over_effort": "torque_off"})
-    assert table[StopReason.OVER_EFFORT] is Ending.TORQUE_OFF
-    assert all(table[r] is r.ending for r in StopReason if r is not StopReason.OVER_EFFORT)
-    with pytest.raises(ValueRangeError, match="over_efort"):
-        endings({"over_efort": "hold"})
-    with pytest.raises(ValueRangeError, match="drop"):
-        endings({"slack": "drop"})
+    guards = GuardSettings(endings={"over_effort": "torque_off"})
+    assert guards.ending(StopReason.OVER_EFFORT) is Ending.TORQUE_OFF
+    assert all(guards.ending(r) is r.ending for r in StopReason if r is not StopReason.OVER_EFFORT)
+    with pytest.raises(ConfigError, match=r"^endings must be one of .*over_efort"):
+        GuardSettings(endings={"over_efort": "hold"})
+    with pytest.raises(ConfigError, match=r"^endings\.slack must be one of hold, torque_off, got 'drop'"):
+        GuardSettings(endings={"slack": "drop"})
 
 
 def test_states_only_go_forward_and_faults_stay() -> None:

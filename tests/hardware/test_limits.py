@@ -14,7 +14,7 @@ number = st.floats(-1.0, 1.0)
 
 
 def limits(n: int = 1, rate: float = 0.2, step: float = 0.003) -> CommandLimits:
-    return CommandLimits(np.full(n, -0.03), np.full(n, 0.01), np.full(n, rate), np.full(n, step))
+    return CommandLimits(n, lower=-0.03, upper=0.01, rate=rate, step=step)
 
 
 @given(wanted=number, last=st.floats(-0.03, 0.01), elapsed=st.floats(0.0, 0.1))

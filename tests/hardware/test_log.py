@@ -5,7 +5,6 @@ from __future__ import annotations
 import errno
 import json
 import time
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +20,7 @@ from apcc_torch.hardware.log_reader import RobotLog, read_log
 from apcc_torch.hardware.records import Tick
 from apcc_torch.hardware.stops import StopReason
 from fake_devices import Fault
-from fake_runs import GUARDS, FakeRun, fake_run
+from fake_runs import FakeRun, fake_run
 
 LAYOUTS = layouts(9, 3, 3, 9)
 
@@ -59,7 +58,7 @@ def test_the_log_holds_the_run(logged: tuple[FakeRun, Path]) -> None:
     assert np.array_equal(log.topic("/controller")["tick"], [tick.index for tick in decided])
     assert np.array_equal(log.topic("/controller")["y"], [t.decision.y for t in decided if t.decision])
     assert np.array_equal(log.topic("/target")["x_d"], [t.decision.x_d for t in decided if t.decision])
-    seen = [tick.seen for tick in ticks if tick.seen is not None]
+    seen = [tick.frame for tick in ticks if tick.frame is not None]
     assert np.array_equal(log.topic("/measurement")["poses"], [s.T.ravel() for s in seen])
     assert np.array_equal(log.topic("/measurement")["position_ok"], [s.position_ok for s in seen])
     assert len(decided) < len(seen) < len(ticks) and not log.topic("/measurement")["usable"].all()
@@ -166,7 +165,7 @@ def test_a_full_disk_stops_the_run_with_the_arm_held(tmp_path: Path, monkeypatch
     monkeypatch.setattr("apcc_torch.hardware.log.FLUSH", 0.0)
     path = tmp_path / "log.mcap"
     with RunLog(FullDisk(path, 20_000), LAYOUTS, 0.0, {"versions": {}}, {}) as log:  # type: ignore[arg-type]
-        run = fake_run(guards=replace(GUARDS, duration=30.0), observers=(log, Paced(log)))
+        run = fake_run(observers=(log, Paced(log)), duration=30.0)
     assert run.outcome.reason is StopReason.LOG_FAILED and "No space left" in run.outcome.message
     assert run.outcome.ticks > 5 and run.actuator.held and not run.actuator.torque
     assert len(read_log(path).topic("/timing")) > 0, "what was written can be read"

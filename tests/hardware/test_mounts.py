@@ -7,16 +7,19 @@ import pytest
 import torch
 
 from apcc_torch.errors import SafetyError, ShapeError
-from apcc_torch.estimation.sensor_gate import SensorGate
-from apcc_torch.hardware.calibration_file import rest_calibration
+from apcc_torch.hardware.calibration_measurement import rest_calibration
 from apcc_torch.hardware.interfaces import PoseSample
 from apcc_torch.hardware.mounts import Mounts
-from apcc_torch.hardware.sensing import Sensing, SensingLimits
+from apcc_torch.hardware.sensing import Sensing
 from apcc_torch.lie import so3
-from fake_runs import builder, rest
+from fake_runs import SENSING, builder, rest
 
 ALL = np.ones(3, dtype=np.bool_)
 NAMES = ("disk_1", "disk_3", "disk_5")
+
+
+def sensing(mounts: Mounts | None = None) -> Sensing:
+    return Sensing(builder().sensors_at(), builder().base_rotation(), SENSING, mounts)
 
 
 def frames_of_bodies(seed: int = 0) -> np.ndarray:
@@ -53,7 +56,7 @@ def test_a_position_keeps_the_held_rotation_where_the_rotation_is_gated() -> Non
     """Markers swapped within a body: its rotation is turned by half a turn, its position is right."""
     bodies = frames_of_bodies(1)
     mounts = Mounts.of(rest_calibration(NAMES, hanging(bodies), builder().base_rotation(), 1e-3))
-    sense = Sensing(SensorGate(3), builder().base_rotation(), SensingLimits(), mounts)
+    sense = sensing(mounts)
     T = hanging(bodies, 1)[0]
     first = sense.look(PoseSample(0.01, 1, T, ALL), 0.011)
     swapped = T.copy()
@@ -69,8 +72,8 @@ def test_samples_that_cannot_be_written_to_are_taken() -> None:
     T, valid = rest().copy(), ALL.copy()
     T.setflags(write=False)
     valid.setflags(write=False)
-    seen = Sensing(SensorGate(3), builder().base_rotation(), SensingLimits()).look(PoseSample(0.01, 1, T, valid), 0.011)
-    assert seen is not None and seen.complete
+    frame = sensing().look(PoseSample(0.01, 1, T, valid), 0.011)
+    assert frame is not None and frame.complete
 
 
 def test_an_arm_that_moves_or_hangs_upside_down_is_refused() -> None:

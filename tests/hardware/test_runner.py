@@ -14,11 +14,11 @@ from apcc_torch.hardware.limits import CommandLimits
 from apcc_torch.hardware.log import RunLog
 from apcc_torch.hardware.log_format import layouts
 from apcc_torch.hardware.log_reader import read_log
-from apcc_torch.hardware.sensing import Sensing, SensingLimits
+from apcc_torch.hardware.sensing import Sensing
 from apcc_torch.hardware.states import State
-from apcc_torch.hardware.stops import Ending, StopReason, endings
+from apcc_torch.hardware.stops import Ending, StopReason
 from fake_devices import Fault
-from fake_runs import GUARDS, LIMITS, FakeRun, builder, fake_run
+from fake_runs import DURATION, GUARDS, LIMITS, SENSING, FakeRun, builder, fake_run
 
 R = StopReason
 
@@ -64,7 +64,7 @@ def test_an_undisturbed_run_ends_after_its_duration_held() -> None:
     running = [tick for tick in run.witness.ticks if tick.state is State.RUNNING]
     assert [tick.index for tick in running] == list(range(len(running)))
     assert all(tick.lateness == pytest.approx(0.0, abs=1e-12) for tick in running)
-    assert run.outcome.duration == pytest.approx(GUARDS.duration)
+    assert run.outcome.duration == pytest.approx(DURATION)
 
 
 AT = 0.6
@@ -126,28 +126,27 @@ def test_every_fault_ends_as_the_table_says(kind: str) -> None:
 def test_a_jump_is_not_followed_and_ends_the_run() -> None:
     run = fake_run([Fault("jump", AT)])
     assert run.outcome.reason in (R.SENSOR_STALE, R.SENSOR_DROPOUT)
-    jumped = [t for t in run.witness.ticks if t.seen is not None and t.now > AT]
-    assert jumped and not any(tick.seen.usable for tick in jumped if tick.seen is not None)
-    poses = np.array([tick.seen.T for tick in jumped if tick.seen is not None])
+    jumped = [t for t in run.witness.ticks if t.frame is not None and t.now > AT]
+    assert jumped and not any(tick.frame.usable for tick in jumped if tick.frame is not None)
+    poses = np.array([tick.frame.T for tick in jumped if tick.frame is not None])
     assert np.abs(poses[:, :, :3, 3] - run.sensor.rest[:, :3, 3]).max() < 1e-3, "the controller keeps the last pose"
 
 
 def test_no_pose_that_reaches_the_controller_is_ever_not_finite() -> None:
     run = fake_run([Fault("nan", 0.5, 0.6), Fault("one_untracked", 0.7, 0.9)])
     assert run.outcome.reason is R.DURATION
-    assert all(np.isfinite(tick.seen.T).all() for tick in run.witness.ticks if tick.seen is not None)
+    assert all(np.isfinite(tick.frame.T).all() for tick in run.witness.ticks if tick.frame is not None)
     # Turns without a whole frame step nothing, and send the last wish.
     blind = [t for t in run.witness.ticks if 0.51 < t.now < 0.6 or 0.71 < t.now < 0.9]
     assert blind and all(tick.decision is None and tick.fresh for tick in blind)
 
 
 def test_frames_that_lack_a_body_can_be_stepped_on() -> None:
-    plain = fake_run().setup.sensing
-    masking = Sensing(plain.gate, builder().base_rotation(), SensingLimits(partial="mask"))
+    masking = Sensing(builder().sensors_at(), builder().base_rotation(), SENSING.changed(partial="mask"))
     run = fake_run([Fault("one_untracked", 0.7, 0.9)], sensing=masking)
     partial = [t for t in run.witness.ticks if 0.71 < t.now < 0.9]
     assert run.outcome.reason is R.DURATION and all(tick.decision is not None for tick in partial)
-    assert all(t.seen is not None and t.seen.position_ok.tolist() == [True, False, True] for t in partial)
+    assert all(t.frame is not None and t.frame.position_ok.tolist() == [True, False, True] for t in partial)
 
 
 def test_few_failed_exchanges_are_survived() -> None:
@@ -168,7 +167,7 @@ def test_a_command_that_failed_may_have_come_through() -> None:
 
 @pytest.mark.parametrize("kind", ["read_fails", "motor_fault", "effort_peak"])
 def test_a_hold_that_fails_lets_go(kind: str) -> None:
-    run = fake_run([Fault("arrived", 0.5), Fault(kind, 1.04)], replace(GUARDS, duration=5.0))
+    run = fake_run([Fault("arrived", 0.5), Fault(kind, 1.04)], duration=5.0)
     reason = {"read_fails": R.COMMUNICATION, "motor_fault": R.DEVICE_FAULT, "effort_peak": R.EFFORT_CAP}[kind]
     assert run.witness.events[-1].time > 1.0
     held = [event for event in run.witness.events if event.state is State.HOLD]
@@ -191,7 +190,7 @@ def test_torque_off_that_fails_is_a_fault_and_is_said() -> None:
 
 
 def test_endings_can_be_chosen() -> None:
-    chosen = replace(GUARDS, endings=endings({"effort_cap": "hold", "duration": "torque_off"}))
+    chosen = replace(GUARDS, endings={"effort_cap": "hold", "duration": "torque_off"})
     assert fake_run([Fault("effort_peak", AT)], chosen).outcome.ending is Ending.HOLD
     plain = fake_run(guards=chosen).outcome
     assert (plain.ending, plain.state, plain.exit_code) == (Ending.TORQUE_OFF, State.DISARMED, 0)
@@ -220,9 +219,8 @@ def test_torque_needs_every_condition() -> None:
 
 
 def test_parts_that_do_not_fit_are_refused() -> None:
-    eight = CommandLimits(*(getattr(LIMITS, name)[:8] for name in ("lower", "upper", "rate", "step")))
     with pytest.raises(ConfigError, match="9 tendons"):
-        fake_run(limits=eight)
+        fake_run(limits=CommandLimits(8))
 
 
 KINDS = sorted({*ENDS, "jump", "wild", "turned_round", "hold_fails", "torque_off_fails"} - {"no_device", "no_sensor"})
@@ -242,7 +240,7 @@ def test_no_fault_sends_a_command_outside_the_limits(
     path = tmp_path_factory.mktemp("log") / "log.mcap"
     asked = [*schedule, Fault("wild", 0.0)] if wild else schedule
     with RunLog(path.open("wb"), layouts(9, 3, 3, 9), 0.0, {"versions": {"a": "1"}}, {"config.yaml": "x: 1\n"}) as log:
-        run = fake_run(asked, replace(GUARDS, duration=1.0), observers=(log,))
+        run = fake_run(asked, observers=(log,), duration=1.0)
     check_commands(run)
     check_end(run)
     # The log is whole: every event and every turn of the run is in it.

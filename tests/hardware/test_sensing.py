@@ -3,24 +3,25 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 import torch
 
-from apcc_torch.errors import ValueRangeError
-from apcc_torch.estimation.sensor_gate import Reason, SensorGate
+from apcc_torch.errors import ApccError
+from apcc_torch.estimation.sensor_gate import Reason
 from apcc_torch.hardware.interfaces import PoseSample
-from apcc_torch.hardware.sensing import Sensing, SensingLimits
+from apcc_torch.hardware.sensing import Sensing, SensingSettings
 from apcc_torch.hardware.stops import StopReason
-from fake_runs import builder, rest
+from fake_runs import SENSING, builder, rest
 
 ALL = np.ones(3, dtype=np.bool_)
 
 
-def sensing(limits: SensingLimits | None = None) -> Sensing:
+def sensing(**changes: Any) -> Sensing:
     build = builder()
-    return Sensing(SensorGate(3), build.base_rotation(), limits or SensingLimits())
+    return Sensing(build.sensors_at(), build.base_rotation(), SENSING.changed(**changes))
 
 
 def sample(number: int, T: np.ndarray | None = None, valid: np.ndarray = ALL) -> PoseSample:
@@ -70,18 +71,18 @@ def test_a_frame_out_of_time_is_not_used(late: str, now: float) -> None:
 
 
 def test_equal_frames_are_a_frozen_source_from_the_limit_on() -> None:
-    sense = sensing(SensingLimits(frozen_frames=3))
+    sense = sensing(frozen_frames=3)
     equal = [replace(sample(1), sequence=k, stamp=0.01 * k) for k in range(1, 6)]
     seen = [sense.look(frame, frame.stamp) for frame in equal]
     assert [frame is not None and frame.usable for frame in seen] == [True, True, False, False, False]
     moving = sense.look(sample(6), 0.06)
     assert moving is not None and moving.usable
-    never = sensing(SensingLimits(frozen_frames=None))
+    never = sensing(frozen_frames=None)
     assert all(s is not None and s.usable for s in [never.look(frame, frame.stamp) for frame in equal])
 
 
 def test_what_is_missing_is_counted_from_the_last_time_it_was_there() -> None:
-    sense = sensing(SensingLimits(stale=0.2, dropout=0.3))
+    sense = sensing(stale=0.2, dropout=0.3)
     sense.begin(0.0)
     partial = np.array([True, True, False])
     for k in range(1, 29):
@@ -102,5 +103,5 @@ def test_limits_must_mean_something() -> None:
         {"frozen_frames": 1},
         {"partial": "fill"},
     ):
-        with pytest.raises(ValueRangeError, match=next(iter(change))):
-            SensingLimits(**change)  # type: ignore[arg-type]
+        with pytest.raises(ApccError, match=f"^{next(iter(change))} must"):
+            SensingSettings(**change)  # type: ignore[arg-type]

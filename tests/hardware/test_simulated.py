@@ -18,29 +18,31 @@ from apcc_torch.composition.build import Builder
 from apcc_torch.errors import CommunicationError, HardwareError, ValueRangeError
 from apcc_torch.hardware.clock import MonotonicClock, VirtualClock
 from apcc_torch.hardware.simulated.actuator import SimulatedActuator
-from apcc_torch.hardware.simulated.arm import SimulatedArm, SimulatedSettings
+from apcc_torch.hardware.simulated.actuator import SimulatedActuatorSettings as Motors
+from apcc_torch.hardware.simulated.arm import SimulatedArm
 from apcc_torch.hardware.simulated.board import KNOTS, Board, board_type
 from apcc_torch.hardware.simulated.process import ProcessWorld
 from apcc_torch.hardware.simulated.sensor import SimulatedSensor
+from apcc_torch.hardware.simulated.sensor import SimulatedSensorSettings as Cameras
 from apcc_torch.hardware.simulated.world import LockstepWorld
+from apcc_torch.settings import names
 from composed import changed
 
-QUIET = SimulatedSettings(step=0.01, settle=0.5)
 
-
-def simulated(settings: SimulatedSettings = QUIET, *changes: str) -> SimulatedArm:
+def simulated(*changes: str, step: float = 0.01, settle: float = 0.5) -> SimulatedArm:
     build = Builder(changed("dynamic_single", *changes))
-    routing = build.routing(build.config.plant.layout)
     plant = build.plant(torch.tensor([0.1], dtype=torch.float64))
-    return SimulatedArm(plant, routing, build.pose_sensors(), build.sensors_at(), settings)
+    return SimulatedArm(plant, build.pose_sensors(), build.sensors_at(), step, settle)
 
 
 def lockstep(
-    settings: SimulatedSettings = QUIET, *changes: str
+    *changes: str, step: float = 0.01, settle: float = 0.5, **settings: float
 ) -> tuple[VirtualClock, SimulatedActuator, SimulatedSensor]:
+    """Devices around one arm; settings of motors and cameras are told apart by their names."""
     clock = VirtualClock(100.0)
-    world = LockstepWorld(simulated(settings, *changes), clock)
-    return clock, SimulatedActuator(world), SimulatedSensor(world)
+    world = LockstepWorld(simulated(*changes, step=step, settle=settle), clock)
+    motors, cameras = ({k: v for k, v in settings.items() if k in names(t)} for t in (Motors, Cameras))
+    return clock, SimulatedActuator(world, **motors), SimulatedSensor(world, **cameras)
 
 
 def test_knots_are_joined_by_straight_lines() -> None:
@@ -59,8 +61,7 @@ def test_knots_are_joined_by_straight_lines() -> None:
 
 
 def test_motors_go_where_they_are_sent_in_ticks_and_at_their_speed() -> None:
-    settings = SimulatedSettings(settle=0.5, motor_speed=0.1, resolution=1e-4)
-    clock, actuator, sensor = lockstep(settings)
+    clock, actuator, sensor = lockstep(step=5e-3, speed=0.1, resolution=1e-4)
     with actuator, sensor:
         assert np.abs(actuator.read().y).max() == 0.0, "on its stand the tendons are at zero"
         with pytest.raises(HardwareError, match="without torque"):
@@ -82,7 +83,7 @@ def test_motors_go_where_they_are_sent_in_ticks_and_at_their_speed() -> None:
 
 def test_the_arm_is_the_plant_of_the_simulations() -> None:
     """A commanded arm settles where the plant's statics have it: B^T q follows the motors up to the compliance."""
-    clock, actuator, sensor = lockstep(QUIET, "plant.K_I=0")
+    clock, actuator, sensor = lockstep("plant.K_I=0")
     with actuator, sensor:
         actuator.arm()
         goal = np.repeat([-0.01, 0.0, 0.005], 3)
@@ -117,8 +118,7 @@ def test_without_torque_the_arm_drops() -> None:
 
 
 def test_frames_come_at_their_rate_and_late() -> None:
-    settings = SimulatedSettings(settle=0.1, frame_rate=50.0, frame_latency=0.013)
-    clock, actuator, sensor = lockstep(settings)
+    clock, actuator, sensor = lockstep(step=5e-3, settle=0.1, rate=50.0, latency=0.013)
     with actuator, sensor:
         number = None
         stamps, delays = [], []
@@ -134,9 +134,7 @@ def test_frames_come_at_their_rate_and_late() -> None:
 
 
 def test_noise_and_dropout_are_the_sensors() -> None:
-    _, actuator, sensor = lockstep(
-        QUIET, "sensors.dropout=0.3", "sensors.position_noise=0.002", "sensors.angular_noise=0"
-    )
+    _, actuator, sensor = lockstep("sensors.dropout=0.3", "sensors.position_noise=0.002", "sensors.angular_noise=0")
     with actuator, sensor:
         samples, number = [], None
         for _ in range(150):
@@ -153,7 +151,7 @@ def test_noise_and_dropout_are_the_sensors() -> None:
 
 
 def test_slack_tendons_do_not_push() -> None:
-    clock, actuator, sensor = lockstep(QUIET, "plant.slack=true", "plant.friction=0.1")
+    clock, actuator, sensor = lockstep("plant.slack=true", "plant.friction=0.1")
     with actuator, sensor:
         actuator.arm()
         actuator.send(np.full(9, 0.03))
@@ -163,7 +161,7 @@ def test_slack_tendons_do_not_push() -> None:
 
 def test_lockstep_runs_are_the_same_every_time() -> None:
     def once() -> np.ndarray:
-        clock, actuator, sensor = lockstep(QUIET, "sensors.position_noise=0.001")
+        clock, actuator, sensor = lockstep("sensors.position_noise=0.001")
         with actuator, sensor:
             actuator.arm()
             actuator.send(np.full(9, -0.01))
@@ -179,9 +177,9 @@ def test_a_batch_is_no_arm() -> None:
     build = Builder(changed("dynamic_single"))
     plant = build.plant(torch.zeros(2, dtype=torch.float64))
     with pytest.raises(ValueRangeError, match="one row"):
-        SimulatedArm(plant, build.routing(), build.pose_sensors(), build.sensors_at(), QUIET)
-    with pytest.raises(ValueRangeError, match="frame_rate"):
-        SimulatedSettings(frame_rate=0.0)
+        SimulatedArm(plant, build.pose_sensors(), build.sensors_at())
+    with pytest.raises(ValueRangeError, match="rate must be positive"):
+        lockstep(rate=0.0)
 
 
 def test_the_process_runs_in_real_time_and_its_death_is_noticed() -> None:

@@ -9,9 +9,9 @@ from apcc_torch.errors import DataError
 from apcc_torch.identification.fit import correlation_length, fit
 from apcc_torch.identification.intervals import disagreement, intervals, unknown_directions
 from apcc_torch.identification.tendon_arm import TendonArm
-from identified_arms import LAYOUT, measured, parameters, random_drive
+from identified_arms import SMALL, measured, parameters, random_drive
 
-ARM = TendonArm(LAYOUT)
+ARM = TendonArm(SMALL)
 
 
 def test_known_parameters_lie_in_their_intervals_and_errors_reach_the_noise() -> None:
@@ -47,7 +47,7 @@ def test_intervals_hold_the_truth_as_often_as_they_say() -> None:
 
 def test_what_cannot_be_told_apart_is_named() -> None:
     # Only ratios of stiffness are seen without weight: the common scale of both is not.
-    blocks = parameters(tendon_stiffness=0.5, bending_stiffness=0.5, axial_stiffness=0.5)
+    blocks = parameters(tendon_stiffness=0.5, bending_rigidity=0.5, axial_rigidity=0.5)
     blocks.blocks["gravity"].nominal.zero_()
     drive = random_drive(60, seed=4)
     found = fit(ARM, blocks, drive, measured(blocks, blocks.nominal(), drive, 1e-4, seed=5))
@@ -56,8 +56,8 @@ def test_what_cannot_be_told_apart_is_named() -> None:
     assert len({weight > 0 for _, weight in least.parts}) == 1
     assert {name.split(":")[0] for name, _ in least.parts} == {
         "tendon_stiffness",
-        "bending_stiffness",
-        "axial_stiffness",
+        "bending_rigidity",
+        "axial_rigidity",
     }
 
 
@@ -84,7 +84,7 @@ def test_correlation_length_is_that_of_a_known_process() -> None:
 
 def test_no_equilibrium_is_said() -> None:
     blocks = parameters(base_position=1e-3)
-    blocks.blocks["bending_stiffness"].nominal.mul_(torch.nan)
+    blocks.blocks["bending_rigidity"].nominal.mul_(torch.nan)
     drive = random_drive(4, seed=1)
     with pytest.raises(DataError, match="no equilibrium"):
         fit(ARM, blocks, drive, torch.zeros(4, 2, 3, dtype=torch.float64))

@@ -6,9 +6,9 @@ import torch
 
 from apcc_torch.identification.online import adapt
 from apcc_torch.identification.tendon_arm import TendonArm
-from identified_arms import LAYOUT, parameters, random_drive
+from identified_arms import SMALL, parameters, random_drive
 
-ARM = TendonArm(LAYOUT, kinematic=True)
+ARM = TendonArm(SMALL, kinematic=True)
 
 
 def test_a_prediction_depends_on_earlier_samples_only() -> None:

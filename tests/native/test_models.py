@@ -7,7 +7,6 @@ import torch
 
 from apcc_torch import AdaptiveLaw, APCCController, InverseKinematics, Measurement, SavitzkyGolay, StateFeedback, Target
 from apcc_torch.control.residual_adaptation import ResidualLaw
-from apcc_torch.estimation.sensor_curve import SensorCurve
 from apcc_torch.model.abscissae import decouple
 from apcc_torch.model.affine import AffineBackbone
 from apcc_torch.model.tendons import rack_routing
@@ -25,10 +24,11 @@ X = torch.tensor([0.1, 0.355, 0.59], dtype=D)
 def test_the_controllers_step_equals_its_eager_self(name: str, law: str) -> None:
     # One rod a section builds fastest, and goes the same way as more.
     model = AffineBackbone(3, HANGING_BASE, rods=1) if name == "affine" else MODELS[name](3, HANGING_BASE)
-    curve = ResidualLaw(nominal=PI, target="curve", curve=SensorCurve(HANGING_BASE, X), time_constant=5.0)
+    feedback = StateFeedback(model, X, max_iterations=2, damping=1e-4)
+    residual = ResidualLaw(PI, feedback, time_constant=5.0, elongation_weight=0.05, nominal_weight=0.02)
     c = APCCController(
         model,
-        StateFeedback(model, X, max_iterations=2, damping=1e-4),
+        feedback,
         SavitzkyGolay(5, 2),
         InverseKinematics(
             1.5,
@@ -41,11 +41,10 @@ def test_the_controllers_step_equals_its_eager_self(name: str, law: str) -> None
             null_step=0.1,
             null_speed=5e-3,
         ),
-        AdaptiveLaw(3, 1.0, regressor="none" if law == "residual" else "estimator_aware"),
+        residual if law == "residual" else AdaptiveLaw(3, 1.0),
         routing=rack_routing(X),
         elongation_bound=0.08,
         bend_bound=3.0,
-        residual_law=curve if law == "residual" else None,
     )
     q = shapes_of(model, (), D, generator(3), angle=0.4)
     lengths = 1.02 * PI

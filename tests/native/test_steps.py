@@ -10,13 +10,13 @@ from torch import Tensor
 
 from apcc_torch import AdaptiveLaw, APCCController, InverseKinematics, PCCBackbone, SavitzkyGolay, StateFeedback
 from apcc_torch.control.length_bank import LengthBank
+from apcc_torch.control.length_bounds import LengthBounds
 from apcc_torch.control.pid import TendonPID
 from apcc_torch.control.residual_adaptation import ResidualLaw
 from apcc_torch.control.step_io import Measurement, Target
 from apcc_torch.control.task_integral import TaskIntegral
 from apcc_torch.control.trajectory import SetPoint
 from apcc_torch.estimation.pose_filter import PoseFilter
-from apcc_torch.estimation.sensor_curve import SensorCurve
 from apcc_torch.model.abscissae import decouple
 from apcc_torch.model.backbone import HANGING
 from apcc_torch.model.dynamics import SoftArmDynamics
@@ -36,6 +36,7 @@ BASE = torch.tensor(HANGING, dtype=D)
 # Not at a sensor: there the estimate's derivative jumps, and rounding decides which side is seen.
 PI_HAT = torch.tensor([0.11, 0.27, 0.24], dtype=D)
 X = torch.tensor([0.105, 0.36, 0.6], dtype=D)
+PI = torch.tensor([0.105, 0.255, 0.24], dtype=D)
 
 
 def controller(mode: str = "pose", iterations: int = 2, **parts: Any) -> APCCController:
@@ -45,7 +46,8 @@ def controller(mode: str = "pose", iterations: int = 2, **parts: Any) -> APCCCon
         StateFeedback(backbone, X, mode, max_iterations=iterations),
         SavitzkyGolay(5, 2),
         parts.pop("inverse_kinematics", InverseKinematics(1.5, null_gain=0.2)),
-        parts.pop("law", AdaptiveLaw(3, 1.0, reach=0.6, normalisation=10.0, dead_zone=1e-4)),
+        parts.pop("laws", AdaptiveLaw(3, 1.0, normalisation=10.0, dead_zone=1e-4)),
+        bounds=parts.pop("bounds", LengthBounds(PI, X, lower=None, upper=None)),
         routing=rack_routing(X),
         elongation_bound=0.08,
         **parts,
@@ -85,14 +87,14 @@ def one(item: Any, row: int = 0) -> Any:
     return type(item)(*parts) if hasattr(item, "_fields") else tuple(parts)
 
 
-CURVE = ResidualLaw(
-    nominal=torch.tensor([0.105, 0.255, 0.24], dtype=D), target="curve", curve=SensorCurve(BASE, X), time_constant=5.0
-)
-
+LAW = AdaptiveLaw(3, 1.0, normalisation=10.0, dead_zone=1e-4)
+POSITIONS = StateFeedback(PCCBackbone(3, BASE), X, "position", max_iterations=2)
+CURVE = ResidualLaw(PI, POSITIONS, tangents="measured", time_constant=5.0, elongation_weight=0.05, nominal_weight=0.02)
 BANK = LengthBank(
-    nominal=torch.tensor([0.105, 0.255, 0.24], dtype=D),
-    feedback=StateFeedback(PCCBackbone(3, BASE), X, "position", max_iterations=2),
-    curve=SensorCurve(BASE, X, samples=2),
+    PI,
+    POSITIONS,
+    tangents="measured",
+    samples=2,
     shares=(0.6, 1.0),
     stretch=1.0,
     sharpness=0.1,
@@ -106,8 +108,8 @@ BANK = LengthBank(
     ("mode", "parts", "tolerance"),
     [
         ("pose", {}, 1e-12),
-        ("position", {"residual_law": CURVE}, 1e-12),
-        ("position", {"residual_law": BANK}, 1e-12),
+        ("position", {"laws": [LAW, CURVE]}, 1e-12),
+        ("position", {"laws": [LAW, BANK]}, 1e-12),
         ("pose", {"pose_filter": PoseFilter(0.05, 0.01, delay=2), "integral": TaskIntegral(1.0, 0.2)}, 1e-12),
         # Its second least-squares problem is nearly singular: one rounding of its input moves the eager step as much.
         ("hierarchical", {"velocity": "commanded"}, 1e-10),
@@ -129,8 +131,9 @@ def test_the_controller_equals_its_eager_self(mode: str, parts: dict[str, Any], 
 def test_gains_of_each_row() -> None:
     K = torch.linspace(0.5, 2.0, 7, dtype=D)
     gamma = torch.diag_embed(torch.linspace(0.1, 3.0, 7, dtype=D).unsqueeze(-1).expand(7, 3))
-    c = controller(inverse_kinematics=InverseKinematics(torch.diag_embed(K.unsqueeze(-1).expand(7, 3))),
-                   law=AdaptiveLaw(3, gamma, dead_zone=torch.linspace(0.0, 1e-3, 7, dtype=D)))  # fmt: skip
+    solver = InverseKinematics(torch.diag_embed(K.unsqueeze(-1).expand(7, 3)), null_gain=0.05)
+    law = AdaptiveLaw(3, gamma, dead_zone=torch.linspace(0.0, 1e-3, 7, dtype=D))
+    c = controller(inverse_kinematics=solver, laws=law, bounds=None)
     inputs = step_inputs(c, 7)
     with torch.no_grad():
         assert worst(NativeFunction(c, one(inputs))(*inputs), c(*inputs)) < 1e-12
@@ -142,9 +145,9 @@ def test_the_dynamic_loop_equals_its_eager_self(dropout: float, tolerance: float
     lengths = torch.tensor([0.11, 0.25, 0.24], dtype=D)
     arm = SoftArmDynamics(lengths, lengths, *scaled_stiffness(lengths), damping_ratio=0.1, base_rotation=BASE)
     payload = torch.linspace(0.0, 0.4, 5, dtype=D)
-    plant = Plant(arm, rack_routing(X), TendonPID(), payload, 200.0)
+    plant = Plant(arm, rack_routing(X), TendonPID(), payload, 200.0, substeps=1)
     sensors = PoseSensors(1e-4, 1e-3, delay=1, dropout=dropout)
-    loop = ClosedLoop(plant, controller(), sensors, SetPoint(torch.tensor([0.2, 0.05, -0.5], dtype=D)), 0.01, 1)
+    loop = ClosedLoop(plant, controller(), sensors, SetPoint(torch.tensor([0.2, 0.05, -0.5], dtype=D)), 0.01)
     with torch.no_grad():
         example = loop.blank()
         step = compiled(loop, example, "aot", 5)
@@ -178,10 +181,10 @@ def test_forward_dynamics(dtype: torch.dtype) -> None:
 
 @pytest.mark.parametrize("loop", ["exact", "feedback"])
 def test_section_v_a(loop: str) -> None:
-    c = controller(law=AdaptiveLaw(3, 1.0), velocity="commanded")
+    c = controller(laws=AdaptiveLaw(3, 1.0), bounds=None, velocity="commanded")
     run = {"exact": kinematic.simulate_exact, "feedback": kinematic.simulate_feedback}[loop]
     target = SetPoint(torch.tensor([0.05, 0.1, -0.55], dtype=D))
     with torch.no_grad():
-        arguments = (c, torch.tensor([0.105, 0.255, 0.24], dtype=D), PI_HAT.expand(3, 3), target, 0.1, 50.0)
+        arguments = (c, PI, PI_HAT.expand(3, 3), target, 0.1, 50.0)
         have, want = run(*arguments, compile="aot"), run(*arguments)
     assert worst(have, want) < 1e-9

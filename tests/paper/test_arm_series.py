@@ -8,12 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from hydra import compose, initialize_config_dir
 from omegaconf import DictConfig
 
 from apcc_torch.composition.build_realtime import RealtimeBuilder
-from apcc_torch.composition.conf_path import conf_path
-from apcc_torch.composition.realtime import RealtimeConfig
 from apcc_torch.errors import ConfigError
 from apcc_torch.experiments import realtime_run as realtime
 from apcc_torch.hardware.log_reader import read_log
@@ -21,17 +18,16 @@ from apcc_torch.hardware.stops import StopReason
 from apcc_torch.paper import arm_series as arm_run
 from apcc_torch.paper import mapping_study
 from apcc_torch.paper.state_feedback_study import estimate, motion
-from composed import composed_realtime
+from composed import composed_realtime, raw_realtime
 
 QUICK = (
-    "hardware.simulated.lockstep=true", "hardware.simulated.step=0.01", "plant.settle=0.5", "loop.hold=0.0",
+    "hardware=lockstep", "hardware.world.step=0.01", "plant.settle=0.5", "loop.hold=0.0",
     "loop.warm_up=3", "loop.fresh_frames=1", "view=false",
 )  # fmt: skip
 
 
 def settings(*overrides: str) -> DictConfig:
-    with initialize_config_dir(conf_path(), version_base="1.3"):
-        return compose("realtime", [*overrides, *QUICK])
+    return raw_realtime(*overrides, *QUICK)
 
 
 @pytest.fixture(scope="module")
@@ -127,7 +123,7 @@ def test_a_series_without_meaning_is_refused(tmp_path: Path, override: str, sent
 
 
 def test_a_ramp_needs_a_goal_for_each_tendon() -> None:
-    config: RealtimeConfig = composed_realtime("experiment=experiment_1", "ramp.goal=[0.0]")
+    config = composed_realtime("experiment=experiment_1", "ramp.goal=[0.0]")
     with pytest.raises(ConfigError, match=r"ramp\.goal must have 9 entries"):
         RealtimeBuilder(config).ramp()
     with pytest.raises(ConfigError, match=r"ramp\.goal must be given"):

@@ -15,9 +15,9 @@ from hypothesis import strategies as st
 from apcc_torch.benchmark import compose_pairs, experiment
 from apcc_torch.composition.benchmark import BenchmarkSettings, GridSettings
 from apcc_torch.composition.build import Builder
-from apcc_torch.composition.conf_path import conf_path
 from apcc_torch.composition.run_settings import SimulateSettings
 from apcc_torch.composition.schema import typed
+from apcc_torch.conf_path import conf_path
 from apcc_torch.errors import ConfigError
 from apcc_torch.experiments.dynamic import simulate
 from apcc_torch.paper.benchmark_run import Pair, check_pair, on_grid, run, simulate_all
@@ -144,7 +144,7 @@ def test_grid_small_cuts(pairs: dict[str, dict[str, Pair]]) -> None:
 
 
 @pytest.mark.parametrize("grid", [GridSettings(name="g", setpoints=0), GridSettings(name="g", setpoints=11)])
-def test_number_of_setpoints_is_checked(whole: SimulateSettings, grid: GridConfig) -> None:
+def test_number_of_setpoints_is_checked(whole: SimulateSettings, grid: GridSettings) -> None:
     with pytest.raises(ConfigError, match=r"grid\.setpoints must be between 1 and 10"):
         on_grid(whole, grid, True)
 

@@ -10,8 +10,8 @@ import torch
 from apcc_torch.composition.build import Builder
 from apcc_torch.experiments.dynamic import simulate, thinned
 from apcc_torch.paper.best_lengths import PRICES, Limits, length_grid, limits
-from apcc_torch.settings import spread
 from apcc_torch.simulation.metrics import backbone_error
+from apcc_torch.spread import spread
 from composed import composed
 
 

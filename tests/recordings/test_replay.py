@@ -19,7 +19,7 @@ from apcc_torch.control.inverse_kinematics import InverseKinematics
 from apcc_torch.control.step_io import Measurement, Target
 from apcc_torch.errors import ConfigError, DataError, ShapeError, ValueRangeError
 from apcc_torch.estimation.feedback import FeedbackStatus
-from apcc_torch.estimation.rest_calibration import Calibration
+from apcc_torch.estimation.rest_calibration import RestCalibration
 from apcc_torch.estimation.savitzky_golay import SavitzkyGolay
 from apcc_torch.estimation.sensor_gate import Reason, SensorGate, gate_recording
 from apcc_torch.estimation.state_feedback import StateFeedback
@@ -67,18 +67,18 @@ def made_up_recording(base: Tensor | None = None, noise: float = 0.0) -> tuple[R
     return Recording(NAMES, times, position, quaternion, tracked, inputs, source="made up"), q, backbone
 
 
-def made_up_calibration(recording: Recording, base: Tensor) -> Calibration:
+def made_up_calibration(recording: Recording, base: Tensor) -> RestCalibration:
     """What the made-up arm is known by: the recording's frame and the mounts, from its own construction."""
     rng = generator(3)
     world, mounts = rotations((), torch.float64, rng), rotations((3,), torch.float64, rng)
     # axes = world base R_model mounts (mounts turns the model's axes into the sensor's place): R_mount = mounts^T.
     offset = torch.tensor([-0.008, 0.0, 0.0], dtype=torch.float64).expand(3, 3)
     shift = torch.tensor([0.3, 0.1, -0.2], dtype=torch.float64)
-    return Calibration(NAMES, shift, world @ base, mounts.mT, offset, X)
+    return RestCalibration(NAMES, shift, world @ base, mounts.mT, offset, X)
 
 
 def gate() -> SensorGate:
-    return SensorGate(3, max_reach=(1.5 * X).tolist())
+    return SensorGate(X)
 
 
 def feedback(backbone: PCCBackbone, mode: str = "pose", **settings: float) -> StateFeedback:
@@ -88,7 +88,12 @@ def feedback(backbone: PCCBackbone, mode: str = "pose", **settings: float) -> St
 def controller(backbone: PCCBackbone, adaptive: bool = True) -> APCCController:
     law = AdaptiveLaw(3, 0.5)
     return APCCController(
-        backbone, feedback(backbone), SavitzkyGolay(7, 2), InverseKinematics(2.0), law, adaptive=adaptive
+        backbone,
+        feedback(backbone),
+        SavitzkyGolay(7, 2),
+        InverseKinematics(2.0, null_gain=0.05),
+        law,
+        adaptive=adaptive,
     )
 
 
@@ -356,7 +361,7 @@ def test_bad_recordings_and_arguments_give_one_clear_error() -> None:
     with pytest.raises(DataError, match="has the bodies"):
         replay(dataclasses.replace(recording, names=("a", "b", "c")), calibration, arm, gate())
     with pytest.raises(ShapeError, match="gate has 2 sensors"):
-        replay(recording, calibration, arm, SensorGate(2))
+        replay(recording, calibration, arm, SensorGate(X[:2]))
     with pytest.raises(ShapeError, match="L0 must have shape"):
         replay(recording, calibration, arm, gate(), PI[:2])
     aimless = dataclasses.replace(recording, target=torch.full((FRAMES, 3), math.nan, dtype=torch.float64))

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from torch import Tensor
 
 from apcc_torch.errors import DataError, ValueRangeError
-from apcc_torch.estimation.rest_calibration import Calibration
+from apcc_torch.estimation.rest_calibration import RestCalibration
 from apcc_torch.lie.rotations import chordal_mean, rotation_angle
 from apcc_torch.recordings.recording import Recording, load_recording
 from apcc_torch.recordings.rest_pose import calibrate, poses_of, rest_frame_count
@@ -159,7 +159,7 @@ def test_json_round_trip_is_exact_and_damage_is_named(tmp_path: Path) -> None:
     recording, *_ = made_up_arm()
     c, path = calibrate(recording), tmp_path / "calibration.json"
     c.save(path)
-    have = Calibration.load(path)
+    have = RestCalibration.load(path)
     for field in dataclasses.fields(c):
         a, b = getattr(have, field.name), getattr(c, field.name)
         assert torch.equal(a, b) if isinstance(a, Tensor) else a == b
@@ -173,15 +173,15 @@ def test_json_round_trip_is_exact_and_damage_is_named(tmp_path: Path) -> None:
     ):
         path.write_text(json.dumps({**content, **change}))
         with pytest.raises(DataError, match=message):
-            Calibration.load(path)
+            RestCalibration.load(path)
     path.write_text(json.dumps({key: value for key, value in content.items() if key != "mount_offset"}))
     with pytest.raises(DataError, match="lacks the entry 'mount_offset'"):
-        Calibration.load(path)
+        RestCalibration.load(path)
     path.write_text('{"kind": ')
     with pytest.raises(DataError, match="not a JSON file"):
-        Calibration.load(path)
+        RestCalibration.load(path)
     with pytest.raises(DataError, match="cannot be read"):
-        Calibration.load(tmp_path / "none.json")
+        RestCalibration.load(tmp_path / "none.json")
 
 
 def test_the_recorded_trunk_hangs_straight(shared_data: Path) -> None:

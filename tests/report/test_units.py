@@ -1,35 +1,19 @@
-"""Units are those of the settings."""
+"""Units are those that the settings tell."""
 
 from __future__ import annotations
 
 import pytest
 
-from apcc_torch.composition.help import rows
-from apcc_torch.reading import plain
-from apcc_torch.report.settings import flatten
-from apcc_torch.report.units import key_label, metric_label
-from composed import composed
+from apcc_torch.control.length_bank import LengthBank
+from apcc_torch.report.units import key_label, key_units, metric_label
 
 
-@pytest.mark.parametrize("experiment", ["kinematic", "dynamic_run_2_bank", "dynamic_run_2_composite"])
-def test_every_key_of_a_run_has_the_unit_of_its_setting(experiment: str) -> None:
-    config = composed(f"experiment={experiment}")
-    run = flatten(plain(config))
-    units = {row.key: row.unit.replace("^2", "²") for row in rows(config)}
-    assert {key: key_label(key, [{}, run]).unit for key in units} == units
-    assert units["arm.lengths"] == "m" and units["controller.rate"] == "Hz" and units["seed"] == ""
-
-
-def test_a_key_of_a_class_that_is_not_there_has_no_unit() -> None:
-    assert key_label("adaptation.dead_zone") == ("adaptation.dead_zone", "")
-    assert key_label("adaptation.dead_zone", [{"adaptation.kind": "somewhere.Law"}]).unit == ""
-    assert key_label(
-        "adaptation.dead_zone", [{}, {"adaptation.kind": "apcc_torch.control.adaptation.AdaptiveLaw"}]
-    ) == (
-        "adaptation.dead_zone",
-        "m",
-    )
-    assert key_label("robot.mass").unit == key_label("seed.more").unit == ""
+def test_units_are_the_settings_own() -> None:
+    assert key_label("controller.rate") == ("controller.rate", "Hz") and key_label("seed") == ("seed", "")
+    assert key_label("plant.pid.K_P").unit == "N/m" and key_label("dynamics_law.payload").unit == "kg"
+    # Of a class that is not the group's default too.
+    assert LengthBank.settings_type is not None and key_units()["residual.resolution"] == "m"
+    assert key_label("experiment.nothing") == ("experiment.nothing", "")
 
 
 @pytest.mark.parametrize(

@@ -15,9 +15,10 @@ from torch import Tensor
 from apcc_torch.control.adaptation import AdaptiveLaw
 from apcc_torch.control.controller import APCCController
 from apcc_torch.control.inverse_kinematics import InverseKinematics
+from apcc_torch.control.length_bounds import LengthBounds
 from apcc_torch.control.pid import TendonPID, ramp
 from apcc_torch.control.trajectory import SetPoint
-from apcc_torch.errors import ConfigError, ValueRangeError
+from apcc_torch.errors import ApccError, ConfigError, ValueRangeError
 from apcc_torch.estimation.savitzky_golay import SavitzkyGolay
 from apcc_torch.estimation.state_feedback import StateFeedback
 from apcc_torch.model.backbone import PCCBackbone
@@ -28,7 +29,7 @@ from apcc_torch.model.statics import equilibrium
 from apcc_torch.model.stiffness import scaled_stiffness
 from apcc_torch.model.tendons import TendonRouting, rack_routing
 from apcc_torch.simulation.dynamic import DynamicLog, DynamicSettings, simulate_dynamic
-from apcc_torch.simulation.plant import Plant
+from apcc_torch.simulation.plant import Plant, PlantSettings
 from apcc_torch.simulation.sensors import PoseSensors
 from arms import HANGING_BASE, PI
 from laws import bits, generator
@@ -38,7 +39,7 @@ RACKS = PI.cumsum(0)
 SIX = torch.tensor([0.0525, 0.0525, 0.1275, 0.1275, 0.12, 0.12], dtype=D)
 TARGETS = torch.tensor([[0.215, 0.03, -0.515], [-0.075, 0.105, -0.565], [0.13, 0.2, -0.5]], dtype=D)
 PAYLOADS = torch.tensor([0.0, 0.5, 0.25], dtype=D)
-SHORT = DynamicSettings(duration=0.2, control_rate=50.0, substeps=4, settle=0.3)
+SHORT = DynamicSettings(duration=0.2, control_rate=50.0)
 
 
 def dynamics(lengths: Tensor = SIX) -> SoftArmDynamics:
@@ -51,8 +52,9 @@ def routing() -> TendonRouting:
     return rack_routing(RACKS)
 
 
-def plant(payload: Tensor, lengths: Tensor = SIX, pid: TendonPID | None = None, tendon_damping: float = 50.0) -> Plant:
-    return Plant(dynamics(lengths), routing(), TendonPID() if pid is None else pid, payload, tendon_damping)
+def plant(payload: Tensor, lengths: Tensor = SIX, pid: TendonPID | None = None, **settings: Any) -> Plant:
+    settings = {"tendon_damping": 50.0, "substeps": 4, "settle": 0.3, **settings}
+    return Plant(dynamics(lengths), routing(), pid, payload, **settings)
 
 
 def controller(K: float | Tensor = 1.8, tendons: bool = True, adaptive: bool = True) -> APCCController:
@@ -61,8 +63,9 @@ def controller(K: float | Tensor = 1.8, tendons: bool = True, adaptive: bool = T
         backbone,
         StateFeedback(backbone, RACKS, "pose", angular_weight=0.1),
         SavitzkyGolay(window=7, order=2),
-        InverseKinematics(K),
-        AdaptiveLaw(3, 0.5, lower=0.75 * PI, upper=1.25 * PI, rate=0.1),
+        InverseKinematics(K, null_gain=0.05),
+        AdaptiveLaw(3, 0.5, rate=0.1),
+        bounds=LengthBounds(PI, lower=0.75, upper=1.25, reach="free"),
         routing=routing() if tendons else None,
         adaptive=adaptive,
         bend_bound=3.0,
@@ -118,15 +121,15 @@ def tips_by_radau(arm: Plant, y_d: Tensor, start: ArmState, z: Tensor, period: f
 
 
 def test_loop_agrees_with_radau() -> None:
-    settings = DynamicSettings(duration=1.0, control_rate=25.0, substeps=8, settle=0.2)  # plant steps of 5 ms
+    settings = DynamicSettings(duration=1.0, control_rate=25.0)
     period = 1.0 / settings.control_rate
-    # Much tendon damping and a far target: stiff, and with an inertia that changes fast.
-    arm = plant(torch.tensor([0.5], dtype=D), tendon_damping=200.0)
+    # Much tendon damping and a far target: stiff, and with an inertia that changes fast. Plant steps of 5 ms.
+    arm = plant(torch.tensor([0.5], dtype=D), tendon_damping=200.0, substeps=8, settle=0.2)
     log = loop(arm, torch.tensor([[0.325, 0.15, -0.275]], dtype=D), settings)
     assert log.diverged_at.tolist() == [-1]
     assert float((log.x[-1] - log.x[0]).norm()) > 0.03, "the arm must move for this to say something"
     with torch.inference_mode():
-        start, z, _ = arm.settled(settings.settle, period / settings.substeps)
+        start, z, _ = arm.settled(arm.settle, period / arm.substeps)
         torch.testing.assert_close(log.q_true[0], start.q, rtol=0, atol=0)
         want = tips_by_radau(arm, log.y_d[:, 0], start, z, period)
     assert float((log.x[-1, 0] - want[-1]).norm()) < 1e-4
@@ -179,7 +182,7 @@ def test_run_starts_on_the_settled_arm_as_the_sensors_see_it() -> None:
     arm = plant(PAYLOADS[1:2])
     log = loop(arm, TARGETS[:1])
     with torch.inference_mode():
-        start = arm.settled(SHORT.settle, 1.0 / SHORT.control_rate / SHORT.substeps).arm
+        start = arm.settled(arm.settle, 1.0 / SHORT.control_rate / arm.substeps).arm
     assert torch.equal(log.q_true[0], start.q)
     torch.testing.assert_close(log.time, torch.arange(11, dtype=D) / SHORT.control_rate)
     # Nothing has been asked for yet: the first command is the model's own shape.
@@ -191,11 +194,11 @@ def test_run_starts_on_the_settled_arm_as_the_sensors_see_it() -> None:
 
 
 def test_rows_of_a_batch_equal_single_runs() -> None:
-    settings = DynamicSettings(duration=0.2, control_rate=25.0, substeps=4, settle=0.1)
-    together = loop(plant(PAYLOADS), TARGETS, settings)
+    settings = DynamicSettings(duration=0.2, control_rate=25.0)
+    together = loop(plant(PAYLOADS, settle=0.1), TARGETS, settings)
     assert together.diverged_at.tolist() == [-1, -1, -1]
     for row in range(3):
-        alone = loop(plant(PAYLOADS[row : row + 1]), TARGETS[row : row + 1], settings)
+        alone = loop(plant(PAYLOADS[row : row + 1], settle=0.1), TARGETS[row : row + 1], settings)
         for name in ("x", "q_true", "q_bar", "q_d", "pi_hat", "y", "y_d"):
             have, want = getattr(together, name)[:, row], getattr(alone, name)[:, 0]
             torch.testing.assert_close(have, want, rtol=0, atol=1e-9, msg=lambda m, name=name: f"{name}: {m}")
@@ -204,10 +207,8 @@ def test_rows_of_a_batch_equal_single_runs() -> None:
 def test_an_unstable_row_is_frozen_and_its_neighbours_never_notice() -> None:
     def run(gain: float) -> DynamicLog:
         K = torch.diag_embed(torch.tensor([1.8, gain, 1.8], dtype=D).unsqueeze(-1).expand(3, 3))
-        settings = DynamicSettings(duration=0.4, control_rate=50.0, substeps=4, settle=0.1)
-        arm = plant(PAYLOADS)
-        arm.bound = 30.0
-        return loop(arm, TARGETS, settings, K)
+        settings = DynamicSettings(duration=0.4, control_rate=50.0)
+        return loop(plant(PAYLOADS, settle=0.1, bound=30.0), TARGETS, settings, K)
 
     calm, wild = run(1.8), run(2e4)
     assert calm.diverged_at.tolist() == [-1, -1, -1]
@@ -234,8 +235,9 @@ def test_a_row_that_is_not_finite_leaves_the_others_alone() -> None:
 
 def test_the_seed_decides_the_run() -> None:
     noisy = PoseSensors(2e-4, 9e-3, delay=1, dropout=0.05)
-    settings = DynamicSettings(duration=0.1, control_rate=50.0, substeps=2, settle=0.05)
-    first, again, other = (loop(plant(PAYLOADS), TARGETS, settings, sensors=noisy, seed=s) for s in (1, 1, 2))
+    settings = DynamicSettings(duration=0.1, control_rate=50.0)
+    arm = plant(PAYLOADS, substeps=2, settle=0.05)
+    first, again, other = (loop(arm, TARGETS, settings, sensors=noisy, seed=s) for s in (1, 1, 2))
     assert all(torch.equal(bits(a), bits(b)) for a, b in zip(first, again, strict=True))
     assert not torch.equal(first.q_bar, other.q_bar)
 
@@ -248,18 +250,20 @@ def test_progress_counts_control_steps() -> None:
             seen.append(k)
             yield k
 
-    settings = DynamicSettings(duration=0.06, control_rate=50.0, substeps=1, settle=0.0)
+    settings, arm = DynamicSettings(duration=0.06, control_rate=50.0), plant(PAYLOADS[:1], substeps=1, settle=0.0)
     with torch.inference_mode():
         target = SetPoint(TARGETS[:1])
-        simulate_dynamic(plant(PAYLOADS[:1]), controller(), PoseSensors(), target, PI, settings, progress=progress)
+        simulate_dynamic(arm, controller(), PoseSensors(), target, PI, settings, progress=progress)
     assert seen == [0, 1, 2, 3]
 
 
 @pytest.mark.parametrize("name", ["duration", "control_rate", "substeps", "settle"])
 @pytest.mark.parametrize("value", [-1, float("nan"), float("inf")])
 def test_bad_settings_are_refused(name: str, value: float) -> None:
-    with pytest.raises(ValueRangeError, match=name):
-        DynamicSettings(**{name: value})
+    settings = PlantSettings if name in ("substeps", "settle") else DynamicSettings
+    needed = {} if settings is PlantSettings else {"duration": 10.0, "control_rate": 100.0}
+    with pytest.raises(ApccError, match=f"^{name} must be"):
+        settings(**{**needed, name: value})
 
 
 def test_bad_plants_and_controllers_are_refused() -> None:
@@ -272,9 +276,7 @@ def test_bad_plants_and_controllers_are_refused() -> None:
     with pytest.raises(ConfigError, match="base_rotation"):
         Plant(turned, routing(), TendonPID(), PAYLOADS[:2])
     with pytest.raises(ConfigError, match="routing"):
-        simulate_dynamic(
-            plant(PAYLOADS), controller(tendons=False), PoseSensors(), SetPoint(TARGETS), PI, DynamicSettings()
-        )
+        simulate_dynamic(plant(PAYLOADS), controller(tendons=False), PoseSensors(), SetPoint(TARGETS), PI, SHORT)
 
 
 def test_transmission_is_felt_by_the_arm() -> None:
@@ -282,7 +284,7 @@ def test_transmission_is_felt_by_the_arm() -> None:
     payload = torch.zeros(1, dtype=D)
 
     def moved(transmission: TendonTransmission | None, y: float) -> Tensor:
-        arm = Plant(dynamics(), routing(), TendonPID(), payload, 50.0, transmission)
+        arm = Plant(dynamics(), routing(), TendonPID(), payload, 50.0, transmission=transmission)
         zero = torch.zeros(1, 18, dtype=D)
         z = torch.zeros(1, 9, dtype=D)
         y_d = torch.zeros(1, 9, dtype=D)

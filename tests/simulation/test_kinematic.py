@@ -12,6 +12,7 @@ from torch import Tensor
 from apcc_torch.control.adaptation import AdaptiveLaw
 from apcc_torch.control.controller import APCCController
 from apcc_torch.control.inverse_kinematics import InverseKinematics
+from apcc_torch.control.length_bounds import LengthBounds
 from apcc_torch.control.trajectory import SineTrajectory
 from apcc_torch.errors import ValueRangeError
 from apcc_torch.estimation.feedback import FeedbackStatus
@@ -42,9 +43,10 @@ def controller(
         backbone,
         StateFeedback(backbone, PI.cumsum(0), mode),
         SavitzkyGolay(window=5, order=2),
-        InverseKinematics(K=K, damping=damping),
+        InverseKinematics(K=K, damping=damping, null_gain=0.05),
+        AdaptiveLaw(3, gamma, regressor),
         # The farthest sensor is at the tip: the arm is no shorter than that.
-        AdaptiveLaw(3, gamma, regressor, reach=float(PI.sum())),
+        bounds=LengthBounds(PI, PI.cumsum(0), lower=None, upper=None),
         adaptive=adaptive,
     )
 

@@ -67,7 +67,7 @@ def controller(given: dict[str, Tensor], routing: TendonRouting | None = None) -
     )
     law = AdaptiveLaw(3, given["gamma"], rate=0.5, normalisation=1.0)
     task = InverseKinematics(given["K"], null_gain=given["null_gain"])
-    return APCCController(backbone, feedback, SavitzkyGolay(5, 2), task, law, routing)
+    return APCCController(backbone, feedback, SavitzkyGolay(5, 2), task, law, routing=routing)
 
 
 def kinematic(given: dict[str, Tensor]) -> list[Tensor]:
@@ -79,19 +79,20 @@ def kinematic(given: dict[str, Tensor]) -> list[Tensor]:
     return rollout(loop, start, lambda k: (time + k * PERIOD,), STEPS)[1]
 
 
-def plant(given: dict[str, Tensor]) -> Plant:
+def plant(given: dict[str, Tensor], **settings: Any) -> Plant:
     lengths = given["lengths"]
     axial, bending = scaled_stiffness(lengths, 0.1, *given["stiffness"].unbind())
     dynamics = SoftArmDynamics(lengths, lengths / lengths.sum(), axial, bending, 0.1, base_rotation=HANGING_BASE)
     pid = TendonPID(*given["PID"].unbind())
-    return Plant(dynamics, rack_routing(RACKS, given["offset"]), pid, given["payload"], tendon_damping=50.0)
+    tendons = rack_routing(RACKS, given["offset"])
+    return Plant(dynamics, tendons, pid, given["payload"], tendon_damping=50.0, **settings)
 
 
 def dynamic(given: dict[str, Tensor]) -> list[Tensor]:
     """The log of 20 periods of section V-B."""
-    arm = plant(given)
+    arm = plant(given, substeps=1)
     routing = rack_routing(RACKS, given["model_offset"])
-    loop = ClosedLoop(arm, controller(given, routing), PoseSensors(), SetPoint(TARGET), PERIOD, 1)
+    loop = ClosedLoop(arm, controller(given, routing), PoseSensors(), SetPoint(TARGET), PERIOD)
     at_rest = arm.straight(())
     bent = at_rest._replace(arm=ArmState(given["q"], at_rest.arm.qdot))
     start = loop.start(bent, given["pi_hat"])
@@ -157,12 +158,13 @@ def used(run: Any) -> tuple[list[Tensor], list[Tensor], int]:
 
 def runs(checkpointed: bool) -> dict[str, Any]:
     at = {"checkpointed": checkpointed}
-    settings = DynamicSettings(duration=0.4, control_rate=50.0, substeps=1, settle=0.1, **at)
+    settings = DynamicSettings(duration=0.4, control_rate=50.0, **at)
     noisy = PoseSensors(1e-3, 5e-3, delay=1, dropout=0.1)
 
     def in_motion(given: dict[str, Tensor]) -> Any:
         c = controller(given, rack_routing(RACKS))
-        return simulate_dynamic(plant(DYNAMIC), c, noisy, SetPoint(TARGET), PI, settings, generator(1))
+        arm = plant(DYNAMIC, substeps=1, settle=0.1)
+        return simulate_dynamic(arm, c, noisy, SetPoint(TARGET), PI, settings, generator(1))
 
     return {
         "feedback": lambda given: simulate_feedback(controller(given), PI, PI_HAT, PATH, 0.6, 50.0, **at),
@@ -239,9 +241,8 @@ def test_a_row_that_diverges_leaves_the_gradient_of_what_is_shared() -> None:
         K = torch.diag_embed(torch.tensor([[1.8, 1.8, 1.8], [1.8, 2e4, 1.8], [1.8, 1.8, 1.8]], dtype=D))[rows]
         payload = torch.tensor([0.2, 0.0, 0.1], dtype=D)[rows]
         given = DYNAMIC | {"PID": PID, "K": K, "payload": payload}
-        arm = plant(given)
-        arm.bound = 30.0
-        settings = DynamicSettings(duration=0.2, control_rate=50.0, substeps=2, settle=0.1)
+        arm = plant(given, substeps=2, settle=0.1, bound=30.0)
+        settings = DynamicSettings(duration=0.2, control_rate=50.0)
         c = controller(given, rack_routing(RACKS))
         log = simulate_dynamic(arm, c, PoseSensors(), SetPoint(TARGET.expand(len(rows), 3)), PI, settings)
         good = log.diverged_at < 0

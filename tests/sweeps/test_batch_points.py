@@ -10,8 +10,8 @@ from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from omegaconf import OmegaConf
 
-from apcc_torch.composition.conf_path import conf_path
 from apcc_torch.composition.stacking import Point
+from apcc_torch.conf_path import conf_path
 from apcc_torch.errors import ApccError, ConfigError
 from apcc_torch.sweeps.batch_points import batch_points, with_batch
 from composed import composed

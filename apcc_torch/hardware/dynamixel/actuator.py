@@ -18,7 +18,7 @@ from apcc_torch.hardware.dynamixel.settings import DynamixelSettings
 from apcc_torch.hardware.dynamixel.spool import Spools, Ticks
 from apcc_torch.hardware.dynamixel.status import MotorStatus
 from apcc_torch.hardware.dynamixel.zero_mark import check_mark, leave_mark
-from apcc_torch.hardware.interfaces import Array, TendonActuator, TendonReading
+from apcc_torch.hardware.interfaces import Array, TendonActuator, TendonReading, check_library
 
 log = logging.getLogger(__name__)
 
@@ -36,7 +36,11 @@ class DynamixelActuator(TendonActuator):
         settings: Port, motors, spools, limits.
     """
 
+    settings_type = DynamixelSettings
+    lasting = ("ids", "spool_radii", "signs")
+
     def __init__(self, settings: DynamixelSettings) -> None:
+        check_library("dynamixel_sdk", type(self).__name__)
         self.settings = settings
         self.n_tendons = len(settings.ids)
         names = {motor: f"motor {k + 1}" for k, motor in enumerate(settings.ids)}
@@ -91,10 +95,10 @@ class DynamixelActuator(TendonActuator):
     def _spools(self, zero: Ticks) -> Spools:
         s = self.settings
         return Spools(
-            radii=np.array(s.spool_radii, dtype=np.float64),
-            signs=np.array(s.signs, dtype=np.int64),
-            lower=np.array(s.lower, dtype=np.float64),
-            upper=np.array(s.upper, dtype=np.float64),
+            radii=np.array(s.each("spool_radii"), dtype=np.float64),
+            signs=np.array(s.each("signs"), dtype=np.int64),
+            lower=np.array(s.each("lower"), dtype=np.float64),
+            upper=np.array(s.each("upper"), dtype=np.float64),
             zero=zero,
         )
 
@@ -114,15 +118,9 @@ class DynamixelActuator(TendonActuator):
         spools = self._spools(zero)
         mark = leave_mark(self.bus, self.motors.ids)
         self.spools = spools
-        return {
-            "ids": list(self.settings.ids),
-            "zero_ticks": zero.tolist(),
-            "spool_radii": list(self.settings.spool_radii),
-            "signs": list(self.settings.signs),
-            "mark": mark,
-        }
+        return {key: self.settings.each(key) for key in self.lasting} | {"zero_ticks": zero.tolist(), "mark": mark}
 
-    def restore(self, found: Mapping[str, object]) -> None:
+    def restore(self, zero: Mapping[str, object]) -> None:
         """Takes up what `calibrate` returned, also in an earlier process, if the motors had power ever since.
 
         Raises:
@@ -130,16 +128,16 @@ class DynamixelActuator(TendonActuator):
             HardwareError: A motor has restarted since; or torque is on.
         """
         self._require(armed=False, doing="restoring a calibration")
-        for key in ("ids", "spool_radii", "signs"):
-            if found.get(key) != (mine := list(getattr(self.settings, key))):
-                raise DataError(f"the calibration has {key} {found.get(key)}, the settings {mine}: calibrate again")
-        zero, mark = found.get("zero_ticks"), found.get("mark")
-        if not isinstance(zero, list) or len(zero) != self.n_tendons or not isinstance(mark, int):
+        for key in self.lasting:
+            if zero.get(key) != (mine := self.settings.each(key)):
+                raise DataError(f"the calibration has {key} {zero.get(key)}, the settings {mine}: calibrate again")
+        ticks, mark = zero.get("zero_ticks"), zero.get("mark")
+        if not isinstance(ticks, list) or len(ticks) != self.n_tendons or not isinstance(mark, int):
             raise DataError("the calibration has no zero_ticks or no mark")
         self._forget_zero()
         check_mark(self.bus, self.motors.ids, mark)
         self._status()
-        self.spools = self._spools(np.array(zero, dtype=np.int64))
+        self.spools = self._spools(np.array(ticks, dtype=np.int64))
 
     def _positions(self, status: Mapping[int, MotorStatus]) -> Ticks:
         return np.array([status[motor].position for motor in self.settings.ids], dtype=np.int64)

@@ -8,11 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 
-from dynamixel_sdk import COMM_RX_TIMEOUT, COMM_SUCCESS, Protocol2PacketHandler
-
 from apcc_torch.errors import CommunicationError, DeviceFaultError, HardwareError
 from apcc_torch.hardware.dynamixel.port import BusPort
 from apcc_torch.hardware.dynamixel.registers import Register
+
+try:
+    from dynamixel_sdk import COMM_RX_TIMEOUT, COMM_SUCCESS, Protocol2PacketHandler
+except ModuleNotFoundError:  # the settings can be read all the same; who builds the driver is told
+    Protocol2PacketHandler = object
 
 # Places in a status packet: header (4), id, length (2), instruction, error, data, checksum (2).
 ID, LENGTH, ERROR, DATA = 4, 5, 8, 9
@@ -93,18 +96,18 @@ class DynamixelBus:
 
         Every reply is taken off the line, so that a bad one does not spoil the next exchange.
         """
-        found: dict[int, bytes] = {}
+        answers: dict[int, bytes] = {}
         wrong: dict[int, HardwareError] = {}
         corrupt = False
         for _ in range(MAX_PACKETS):
-            if len(found) + len(wrong) == len(motors):
+            if len(answers) + len(wrong) == len(motors):
                 break
             packet, result = self.packets.rxPacket(self.port, False)
             if result == COMM_SUCCESS:
                 motor = packet[ID]
                 if motor in motors:
                     try:
-                        found[motor] = self._data(motor, packet, length)
+                        answers[motor] = self._data(motor, packet, length)
                     except HardwareError as error:
                         wrong[motor] = error
             elif result == COMM_RX_TIMEOUT:
@@ -113,9 +116,9 @@ class DynamixelBus:
                 corrupt = True
         said = "corrupt reply" if corrupt else "no reply"
         for motor in motors:
-            if motor not in found and motor not in wrong:
+            if motor not in answers and motor not in wrong:
                 wrong[motor] = CommunicationError(f"{self.name(motor)}: {said}")
-        return found, wrong
+        return answers, wrong
 
     def _data(self, motor: int, packet: Sequence[int], length: int) -> bytes:
         """The data of one status packet, if its own length field says that there are `length` bytes."""
@@ -135,10 +138,10 @@ class DynamixelBus:
         """`length` bytes of one motor's control table."""
         self._begin()
         self._check(motor, self.packets.readTx(self.port, motor, address, length), 0)
-        found, wrong = self._gather((motor,), length)
+        answers, wrong = self._gather((motor,), length)
         if wrong:
             raise wrong[motor]
-        return found[motor]
+        return answers[motor]
 
     def read(self, motor: int, register: Register) -> int:
         """One register of one motor."""
@@ -183,9 +186,9 @@ class DynamixelBus:
             CommunicationError: One motor or more did not answer well; the sentence names each.
             DeviceFaultError: All answered, and one refused.
         """
-        found, wrong = self.sync_gather(motors, address, length)
+        answers, wrong = self.sync_gather(motors, address, length)
         raise_all(wrong.values())
-        return found
+        return answers
 
     def sync_write(self, register: Register, values: Mapping[int, int]) -> None:
         """One packet that writes a register of many motors. They do not answer: read back what matters.
@@ -202,8 +205,8 @@ class DynamixelBus:
 
 def raise_all(errors: Iterable[HardwareError]) -> None:
     """Raises one error that says all of `errors`, of the class that tells least of the device; none: does nothing."""
-    found = list(errors)
-    if not found:
+    several = list(errors)
+    if not several:
         return
-    lost = [error for error in found if isinstance(error, CommunicationError)]
-    raise (CommunicationError if lost else DeviceFaultError)("; ".join(str(error) for error in found))
+    lost = [error for error in several if isinstance(error, CommunicationError)]
+    raise (CommunicationError if lost else DeviceFaultError)("; ".join(str(error) for error in several))

@@ -118,8 +118,8 @@ class Motors:
 
     def status(self) -> dict[int, MotorStatus]:
         """Every motor's status block, whatever it says. Raises CommunicationError if one does not answer."""
-        found = self.bus.sync_read(self.ids, INDIRECT_DATA, STATUS_LENGTH)
-        return {motor: MotorStatus.decode(found[motor]) for motor in self.ids}
+        blocks = self.bus.sync_read(self.ids, INDIRECT_DATA, STATUS_LENGTH)
+        return {motor: MotorStatus.decode(blocks[motor]) for motor in self.ids}
 
     def check_status(self, status: Mapping[int, MotorStatus]) -> None:
         """Raises DeviceFaultError, which names each motor with a fault and the fault."""
@@ -183,8 +183,8 @@ class Motors:
 
     def reachable(self) -> tuple[dict[int, MotorStatus], dict[int, HardwareError]]:
         """The status blocks that can be had, and why the others cannot."""
-        found, wrong = self.bus.sync_gather(self.ids, INDIRECT_DATA, STATUS_LENGTH)
-        return {motor: MotorStatus.decode(data) for motor, data in found.items()}, wrong
+        blocks, wrong = self.bus.sync_gather(self.ids, INDIRECT_DATA, STATUS_LENGTH)
+        return {motor: MotorStatus.decode(data) for motor, data in blocks.items()}, wrong
 
     def torque_off(self) -> tuple[int, ...]:
         """Lets go of every motor, whatever fails on the way; returns those that did not confirm it."""

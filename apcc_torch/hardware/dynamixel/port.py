@@ -5,10 +5,13 @@ from __future__ import annotations
 import logging
 import time
 
-from dynamixel_sdk import PortHandler
-from serial import Serial
-
 from apcc_torch.errors import CommunicationError
+
+try:
+    from dynamixel_sdk import PortHandler
+    from serial import Serial
+except ModuleNotFoundError:  # the settings can be read all the same; who builds the driver is told
+    PortHandler = object
 
 log = logging.getLogger(__name__)
 

@@ -84,10 +84,10 @@ class BaseFrame:
     @staticmethod
     def relative(base: Array, T: Array) -> Array:
         """Poses (n, 4, 4) of the world in the base frame (4, 4)."""
-        seen = T.copy()
-        seen[:, :3, :3] = base[:3, :3].T @ T[:, :3, :3]
-        seen[:, :3, 3] = (T[:, :3, 3] - base[:3, 3]) @ base[:3, :3]
-        return seen
+        relative = T.copy()
+        relative[:, :3, :3] = base[:3, :3].T @ T[:, :3, :3]
+        relative[:, :3, 3] = (T[:, :3, 3] - base[:3, 3]) @ base[:3, :3]
+        return relative
 
     def measure(self, bodies: Array, settings: OptiTrackSettings) -> Array:
         """The arm's base frame (4, 4) in the world, from poses (N, 4, 4) of a base that stands still.

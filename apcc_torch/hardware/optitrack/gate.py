@@ -38,7 +38,7 @@ class Reason(IntEnum):
 
 
 @dataclass(frozen=True)
-class _Seen:
+class _Sight:
     """A pose and its time."""
 
     position: Vector
@@ -58,8 +58,8 @@ class _Seen:
 class _Track:
     """What is known of one body."""
 
-    accepted: _Seen | None = None
-    candidate: _Seen | None = None  # its last pose since it was doubted
+    accepted: _Sight | None = None
+    candidate: _Sight | None = None  # its last pose since it was doubted
     streak: int | None = None  # consistent frames since then; None where it is not in doubt
     place: Vector | None = None  # where it was last known to be, under its own name or another's
     place_time: float = -math.inf
@@ -111,15 +111,15 @@ class BodyGate:
                 reasons[i] = self._recover(track, body, time)
             if reasons[i] is Reason.OK:
                 track.streak, track.candidate = None, None
-                track.accepted = _Seen(body.position, body.quaternion, time)
+                track.accepted = _Sight(body.position, body.quaternion, time)
                 track.settle(body.position, time)
         for other, position in taken.items():  # the one whose place was taken is seen there under a wrong name
             if reasons[other] is not Reason.OK:
                 self._tracks[other].settle(position, time)
         return reasons
 
-    def _allows(self, seen: _Seen, body: BodyPose, time: float) -> bool:
-        return seen.allows(body, time, self._settings)
+    def _allows(self, sight: _Sight, body: BodyPose, time: float) -> bool:
+        return sight.allows(body, time, self._settings)
 
     def _evident(self, track: _Track, body: BodyPose | None) -> Reason:
         """What the body's own numbers tell."""
@@ -142,16 +142,16 @@ class BodyGate:
     def _identity(self, i: int, position: Vector, places: Sequence[Vector | None]) -> int | None:
         """The other body whose place is nearest, if it is nearer than the body's own and within the swap radius."""
         own = places[i]
-        nearest, found = math.inf if own is None else math.dist(own, position), None
+        nearest, other = math.inf if own is None else math.dist(own, position), None
         for j, place in enumerate(places):
             if j != i and place is not None and math.dist(place, position) < nearest:
-                nearest, found = math.dist(place, position), j
-        return found if nearest <= self._settings.swap_radius else None
+                nearest, other = math.dist(place, position), j
+        return other if nearest <= self._settings.swap_radius else None
 
     def _recover(self, track: _Track, body: BodyPose, time: float) -> Reason:
         """Counts the consistent frames of a body in doubt."""
         consistent = track.candidate is not None and self._allows(track.candidate, body, time)
-        track.candidate = _Seen(body.position, body.quaternion, time)
+        track.candidate = _Sight(body.position, body.quaternion, time)
         jumped = not consistent and track.accepted is not None and not self._allows(track.accepted, body, time)
         track.streak = (track.streak or 0) + 1 if consistent else 1
         if track.streak >= self._settings.recovery_frames:

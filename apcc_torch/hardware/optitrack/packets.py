@@ -12,14 +12,17 @@ import struct
 from dataclasses import dataclass
 from typing import Any
 
-from natnet.data_descriptions import DataDescriptions
-from natnet.data_frame import DataFrame
-from natnet.exceptions import NatNetError
-from natnet.packet_buffer import PacketBuffer
-from natnet.server_info import ServerInfo
-from natnet.version import Version
-
 from apcc_torch.errors import CommunicationError, HardwareError
+
+try:
+    from natnet.data_descriptions import DataDescriptions
+    from natnet.data_frame import DataFrame
+    from natnet.exceptions import NatNetError
+    from natnet.packet_buffer import PacketBuffer
+    from natnet.server_info import ServerInfo
+    from natnet.version import Version
+except ModuleNotFoundError:  # the settings can be read all the same; who builds the sensor is told
+    NatNetError, PacketBuffer = ValueError, object
 
 CONNECT = 0
 SERVER_INFO = 1

@@ -10,7 +10,7 @@ import time
 import numpy as np
 
 from apcc_torch.errors import CommunicationError, HardwareError, ValueRangeError
-from apcc_torch.hardware.interfaces import Array, PoseSensor
+from apcc_torch.hardware.interfaces import Array, PoseSensor, check_library
 from apcc_torch.hardware.optitrack import packets
 from apcc_torch.hardware.optitrack.counts import Counts
 from apcc_torch.hardware.optitrack.frames import check_pose
@@ -40,7 +40,11 @@ class OptiTrackSensor(PoseSensor):
         ValueRangeError: `base` is not a pose, or is given where the base is not static.
     """
 
+    settings_type = OptiTrackSettings
+    lasting = ("base", "bodies", "up", "scale", "base_offset", "base_quaternion")
+
     def __init__(self, settings: OptiTrackSettings, base: Array | None = None) -> None:
+        check_library("natnet", type(self).__name__)
         if base is not None:
             check_pose("base", base)
             if not settings.static_base:
@@ -126,6 +130,11 @@ class OptiTrackSensor(PoseSensor):
         with self._changed:
             done = self._changed.wait_for(over, timeout)
         return self.latest() if done else None
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Motive's names of the bodies, from the base to the tip."""
+        return tuple(self.settings.bodies)
 
     @property
     def base(self) -> Array | None:

@@ -147,10 +147,10 @@ class Tracker:
         """Poses in the z-up world (n, 4, 4), NaN where a body is not valid."""
         T = np.full((len(bodies), 4, 4), np.nan)
         good = [i for i, reason in enumerate(reasons) if reason is Reason.OK]
-        found = [body for i in good if (body := bodies[i]) is not None]
-        if found:
-            positions = np.array([body.position for body in found])
-            T[good] = self._frame.world(positions, np.array([body.quaternion for body in found]))
+        good_bodies = [body for i in good if (body := bodies[i]) is not None]
+        if good_bodies:
+            positions = np.array([body.position for body in good_bodies])
+            T[good] = self._frame.world(positions, np.array([body.quaternion for body in good_bodies]))
         return T
 
     def _base_of(self, body: Array, reason: Reason) -> tuple[Array | None, Reason]:

@@ -3,13 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Self
 
 import numpy as np
 
 from apcc_torch.errors import CommunicationError, DataError, DeviceFaultError, HardwareError
 from apcc_torch.hardware.interfaces import Array, TendonActuator, TendonReading
 from apcc_torch.hardware.simulated.board import Mode
-from apcc_torch.hardware.simulated.world import World
+from apcc_torch.hardware.simulated.world import SimulatedWorld, simulated
+from apcc_torch.hardware.world import World
+from apcc_torch.settings import OURS, Settings, resolved, setting
+
+
+@dataclass(frozen=True, kw_only=True)
+class SimulatedActuatorSettings(Settings):
+    """What the simulated motors are like."""
+
+    speed: float = setting(0.3, "m/s", OURS, "at which a tendon runs to its goal", above=0)
+    resolution: float = setting(
+        1.5e-5, "m", OURS, "tendon in one encoder tick: 4096 to a turn of a 10 mm spool", above=0
+    )
 
 
 class SimulatedActuator(TendonActuator):
@@ -17,29 +31,40 @@ class SimulatedActuator(TendonActuator):
 
     Args:
         world: Where the arm lives.
+        given, changes: Settings.
     """
 
-    def __init__(self, world: World) -> None:
+    settings_type = SimulatedActuatorSettings
+    needs_calibration = False
+
+    def __init__(self, world: SimulatedWorld, *given: Any, **changes: Any) -> None:
+        settings = resolved(SimulatedActuatorSettings, given, changes)
         self.world = world
         self.n_tendons = world.arm.n_tendons
-        self.resolution = world.arm.settings.resolution
+        self.resolution = settings.resolution
+        world.arm.motor_speed = settings.speed
+
+    @classmethod
+    def in_world(cls, settings: Settings, world: World) -> Self:
+        """The motors of the world's arm."""
+        return cls(simulated(world), settings)
 
     def connect(self) -> None:
         """Begins the arm's time; it hangs on its stand."""
         self.world.open("actuator")
 
     def calibrate(self) -> dict[str, object]:
-        """Nothing to find: the stand holds the tendons at zero."""
+        """Nothing is measured: the stand holds the tendons at zero."""
         return {"zero_ticks": [0] * self.n_tendons, "metres_per_tick": self.resolution}
 
-    def restore(self, found: Mapping[str, object]) -> None:
+    def restore(self, zero: Mapping[str, object]) -> None:
         """Nothing to take up: an arm that begins anew hangs on its stand.
 
         Raises:
             DataError: It is of other motors.
         """
-        if found != self.calibrate():
-            raise DataError(f"the calibration has the motors {dict(found)}, the settings {self.calibrate()}")
+        if zero != self.calibrate():
+            raise DataError(f"the calibration has the motors {dict(zero)}, the settings {self.calibrate()}")
 
     def arm(self) -> None:
         """Torque on, with every goal at the present length."""

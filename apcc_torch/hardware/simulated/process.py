@@ -6,20 +6,23 @@ import ctypes
 import multiprocessing
 import signal
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from multiprocessing.sharedctypes import RawArray
 from multiprocessing.synchronize import Event, Lock
+from typing import Self
 
 import numpy as np
 import torch
 
 from apcc_torch.errors import CommunicationError
-from apcc_torch.hardware.clock import Clock
+from apcc_torch.hardware.clock import MonotonicClock
 from apcc_torch.hardware.simulated.arm import SimulatedArm
 from apcc_torch.hardware.simulated.board import Board, Mode, board_type
-from apcc_torch.hardware.simulated.world import World
+from apcc_torch.hardware.simulated.world import LockstepSettings, SimulatedWorld
+from apcc_torch.hardware.world import RealTimeSettings
 
 START_TIMEOUT = 120.0
 """Longest that the process may take to begin, s: it imports torch and lets the arm settle."""
@@ -45,7 +48,7 @@ def serve(arm: SimulatedArm, memory: ctypes.Array[ctypes.c_byte], lock: Lock, ov
         arm.skip(time.monotonic())
         ready.send("ready")
         while not over.is_set() and (parent is None or parent.is_alive()):
-            lead = arm.time - time.monotonic() - arm.settings.step
+            lead = arm.time - time.monotonic() - arm.step
             if lead > 0:
                 time.sleep(lead)
                 continue
@@ -61,7 +64,12 @@ def serve(arm: SimulatedArm, memory: ctypes.Array[ctypes.c_byte], lock: Lock, ov
                     board.memory[name] = scratch.memory[name]
 
 
-class ProcessWorld(World):
+@dataclass(frozen=True, kw_only=True)
+class ProcessSettings(LockstepSettings, RealTimeSettings):
+    """How the simulated arm keeps up with real time."""
+
+
+class ProcessWorld(SimulatedWorld):
     """The arm in real time, computed where it does not disturb the loop.
 
     It ends with this process, however that ends. If it dies, every use of it raises CommunicationError.
@@ -71,9 +79,16 @@ class ProcessWorld(World):
         clock: The run's, a monotonic one.
     """
 
-    def __init__(self, arm: SimulatedArm, clock: Clock) -> None:
+    settings_type = ProcessSettings
+
+    def __init__(self, arm: SimulatedArm, clock: MonotonicClock) -> None:
         super().__init__(arm, clock)
         self.process: multiprocessing.process.BaseProcess | None = None
+
+    @classmethod
+    def around(cls, settings: ProcessSettings, arm: Callable[[float], SimulatedArm]) -> Self:
+        """The world of an arm, on the machine's own clock."""
+        return cls(arm(settings.step), MonotonicClock(settings.spin))
 
     def _begin(self) -> None:
         # A fresh interpreter: a fork would carry torch's and the log's threads over in an unknown state.
@@ -97,8 +112,8 @@ class ProcessWorld(World):
         finally:
             here.close()
         deadline = time.monotonic() + LOCK_TIMEOUT
-        while not self.board.memory["n_frames"] and time.monotonic() < deadline:
-            time.sleep(self.arm.settings.step)
+        while not self.board.memory["n_knots"] and time.monotonic() < deadline:
+            time.sleep(self.arm.step)
 
     def _finish(self) -> None:
         if self.process is None:

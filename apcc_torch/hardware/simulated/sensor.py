@@ -2,11 +2,24 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import Any, Self
+
 from apcc_torch.hardware.interfaces import PoseSample, PoseSensor
-from apcc_torch.hardware.simulated.world import World
+from apcc_torch.hardware.simulated.world import SimulatedWorld, simulated
+from apcc_torch.hardware.world import World
+from apcc_torch.settings import OURS, PAPER, Settings, resolved, setting
 
 POLL = 1e-3
 """How often `wait` looks, s."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SimulatedSensorSettings(Settings):
+    """What the simulated cameras are like."""
+
+    rate: float = setting(50.0, "Hz", PAPER, "of the motion capture", above=0)
+    latency: float = setting(8e-3, "s", OURS, "from a frame's measurement to its arrival", least=0)
 
 
 class SimulatedSensor(PoseSensor):
@@ -14,12 +27,22 @@ class SimulatedSensor(PoseSensor):
 
     Args:
         world: Where the arm lives.
+        given, changes: Settings.
     """
 
-    def __init__(self, world: World) -> None:
+    settings_type = SimulatedSensorSettings
+
+    def __init__(self, world: SimulatedWorld, *given: Any, **changes: Any) -> None:
+        settings = resolved(SimulatedSensorSettings, given, changes)
         self.world = world
         self.n_bodies = world.arm.n_bodies
-        self.latency = world.arm.settings.frame_latency
+        self.latency = settings.latency
+        world.arm.frame_rate = settings.rate
+
+    @classmethod
+    def in_world(cls, settings: Settings, world: World) -> Self:
+        """The cameras around the world's arm."""
+        return cls(simulated(world), settings)
 
     def connect(self) -> None:
         """Begins the arm's time, if the actuator has not."""

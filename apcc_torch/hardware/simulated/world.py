@@ -1,20 +1,25 @@
-"""Where the simulated arm lives: in its own process and real time, or in lockstep with a virtual clock."""
+"""Where the simulated arm is: in lockstep with a virtual clock; `process` has the one in real time."""
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
-from collections.abc import Iterator
+from abc import abstractmethod
+from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
+from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 import torch
 
+from apcc_torch.errors import ConfigError
 from apcc_torch.hardware.clock import Clock, VirtualClock
 from apcc_torch.hardware.simulated.arm import SimulatedArm
 from apcc_torch.hardware.simulated.board import Board, Mode, board_type
+from apcc_torch.hardware.world import World
+from apcc_torch.settings import OURS, Settings, setting
 
 
-class World(ABC):
+class SimulatedWorld(World):
     """One arm, opened by its actuator or its sensor, whichever comes first, and closed by the last of them."""
 
     def __init__(self, arm: SimulatedArm, clock: Clock) -> None:
@@ -60,7 +65,25 @@ class World(ABC):
         """
 
 
-class LockstepWorld(World):
+def simulated(world: World) -> SimulatedWorld:
+    """The world, for a device that needs a simulated arm in it.
+
+    Raises:
+        ConfigError: There is none.
+    """
+    if not isinstance(world, SimulatedWorld):
+        raise ConfigError(f"a simulated device needs a simulated arm, and there is none in {type(world).__name__}")
+    return world
+
+
+@dataclass(frozen=True, kw_only=True)
+class LockstepSettings(Settings):
+    """How finely the simulated arm is stepped."""
+
+    step: float = setting(5e-3, "s", OURS, "step of the plant; one takes about half of that to compute", above=0)
+
+
+class LockstepWorld(SimulatedWorld):
     """The arm follows a virtual clock: a run is the same every time, and as fast as it can be computed.
 
     Args:
@@ -68,9 +91,16 @@ class LockstepWorld(World):
         clock: The run's.
     """
 
+    settings_type = LockstepSettings
+
     def __init__(self, arm: SimulatedArm, clock: VirtualClock) -> None:
         super().__init__(arm, clock)
         self.virtual = clock
+
+    @classmethod
+    def around(cls, settings: LockstepSettings, arm: Callable[[float], SimulatedArm]) -> Self:
+        """The world of an arm, at the beginning of its time."""
+        return cls(arm(settings.step), VirtualClock())
 
     def _begin(self) -> None:
         with torch.inference_mode():
@@ -82,7 +112,7 @@ class LockstepWorld(World):
     def _follow(self, time: float) -> None:
         with torch.inference_mode():
             # A step ahead, as in real time: a reader finds a knot on either side.
-            while self.arm.time < time + self.arm.settings.step:
+            while self.arm.time < time + self.arm.step:
                 memory = self.board.memory
                 self.arm.advance(self.board, memory["goal"].copy(), Mode(int(memory["mode"])))
 

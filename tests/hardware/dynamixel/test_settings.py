@@ -7,11 +7,17 @@ from typing import Any
 
 import pytest
 
-from apcc_torch.errors import ValueRangeError
+from apcc_torch.errors import ApccError
 from apcc_torch.hardware.dynamixel.settings import GripperSettings
-from hardware.dynamixel.rig import GRIPPER, TENDONS, settings
+from hardware.dynamixel.rig import GRIPPER, SIGNS, TENDONS, settings
 
 PORT = Path("/dev/ttyUSB0")
+
+
+def test_a_number_serves_every_tendon() -> None:
+    made = settings(PORT, spool_radii=0.02, upper=0.01)
+    assert made.each("spool_radii") == [0.02] * 9 and made.each("upper") == [0.01] * 9
+    assert made.each("signs") == list(SIGNS)
 
 
 def test_lists_become_tuples_and_the_watchdog_is_rounded_up() -> None:
@@ -52,13 +58,13 @@ def test_lists_become_tuples_and_the_watchdog_is_rounded_up() -> None:
     ],
 )
 def test_refused(key: str, value: Any) -> None:
-    with pytest.raises(ValueRangeError, match=key):
+    with pytest.raises(ApccError, match=f"^{key} must"):
         settings(PORT, **{key: value})
 
 
 def test_no_tendons() -> None:
     empty = dict.fromkeys(("ids", "spool_radii", "signs", "lower", "upper"), ())
-    with pytest.raises(ValueRangeError, match="ids must have one entry"):
+    with pytest.raises(ApccError, match=r"^ids must"):
         settings(PORT, **empty)
 
 
@@ -68,5 +74,5 @@ def test_no_tendons() -> None:
 )
 def test_gripper_refused(key: str, value: Any) -> None:
     good: dict[str, Any] = {"id": 10, "open_angle": 1.0, "closed_angle": 2.0}
-    with pytest.raises(ValueRangeError, match=f"gripper.*{key}"):
+    with pytest.raises(ApccError, match=f"^{key} must"):
         GripperSettings(**good | {key: value})

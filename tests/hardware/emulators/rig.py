@@ -77,8 +77,8 @@ class EmulatedPlatform:
             f"guards.limits.lower={LOWER}",
             f"guards.limits.upper={UPPER}",
             f"guards.limits.step={STEP}",
-            *(f"hardware.dynamixel.{key}={_text(value)}" for key, value in motors.items()),
-            *(f"hardware.optitrack.{key}={value}" for key, value in cameras.items()),
+            *(f"hardware.actuator.{key}={_text(value)}" for key, value in motors.items()),
+            *(f"hardware.sensor.{key}={value}" for key, value in cameras.items()),
         ]
 
     def goals_in_limits(self) -> bool:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from apcc_torch.errors import ConfigError
 
-_PACKAGE = Path(__file__).resolve().parents[1]
+_PACKAGE = Path(__file__).resolve().parent
 
 
 def conf_path() -> str:
