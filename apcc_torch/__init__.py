@@ -6,9 +6,15 @@ thousands of arms, in the replay of a recording, under autograd, and on the robo
 
 from __future__ import annotations
 
-from apcc_torch.control.adaptation import AdaptiveLaw
+import importlib
+from typing import Any
+
+from apcc_torch.control.adaptation import AdaptiveLaw, NormalisedLaw
+from apcc_torch.control.control_settings import ControlSettings
 from apcc_torch.control.controller import APCCController
 from apcc_torch.control.inverse_kinematics import InverseKinematics
+from apcc_torch.control.length_bounds import LengthBounds
+from apcc_torch.control.length_law import LengthLaw
 from apcc_torch.control.step_io import Command, ControllerState, Measurement, Target
 from apcc_torch.errors import ApccError
 from apcc_torch.estimation.feedback import Feedback, FeedbackStatus
@@ -22,6 +28,8 @@ from apcc_torch.model.constant_strain import ConstantStrainBackbone
 from apcc_torch.model.dynamics import SoftArmDynamics
 from apcc_torch.model.kinematic_model import KinematicModel
 from apcc_torch.model.tendons import TendonRouting
+from apcc_torch.part import Part
+from apcc_torch.settings import Settings, resolved, setting
 from apcc_torch.simulation.metrics import shape_error
 
 __version__ = "0.1.0"
@@ -34,18 +42,34 @@ __all__ = [
     "Arm",
     "Command",
     "ConstantStrainBackbone",
+    "ControlSettings",
     "ControllerState",
     "Feedback",
     "FeedbackStatus",
     "InverseKinematics",
     "KinematicModel",
+    "LengthBounds",
+    "LengthLaw",
     "Measurement",
+    "NormalisedLaw",
     "PCCBackbone",
+    "Part",
     "SavitzkyGolay",
+    "Settings",
     "SoftArmDynamics",
     "StateFeedback",
     "Target",
     "TendonRouting",
+    "compose",
     "decouple",
+    "resolved",
+    "setting",
     "shape_error",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    """`compose` of apcc_torch.composed, which imports hydra and every part: only once it is asked for."""
+    if name != "compose":
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return importlib.import_module("apcc_torch.composed").compose

@@ -11,7 +11,6 @@ import runpy
 import sys
 import warnings
 from collections.abc import Callable, Iterator
-from dataclasses import fields, is_dataclass
 from functools import cache
 from importlib.util import find_spec
 from itertools import zip_longest
@@ -21,15 +20,15 @@ from typing import Any
 
 import pytest
 import torch
-from apcc_torch.composition.typed import typed
 from hydra import compose, initialize_config_dir
-from hydra.core.config_store import ConfigStore
 from hydra.core.override_parser.overrides_parser import OverridesParser
 
-import apcc_torch
-from apcc_torch import benchmark
-from apcc_torch.composition.benchmark import BenchmarkConfig
-from apcc_torch.composition.identify import IdentifyConfig
+from apcc_torch import benchmark  # whose import registers their settings with hydra
+from apcc_torch.composition.arm_file import arm_override
+from apcc_torch.composition.benchmark import BenchmarkSettings
+from apcc_torch.composition.help import rows
+from apcc_torch.composition.identify import IdentifySettings
+from apcc_torch.composition.schema import typed
 from apcc_torch.conf_path import conf_path
 from composed import composed, composed_realtime
 from doc_pages import PAGES, ROOT, Block, Command, commands, keys, name_of, python_blocks
@@ -39,7 +38,16 @@ UNCHECKED_COMMANDS: dict[str, str] = {
     "simulate experiment=kinematic adaptation=custom adaptation.kind=my_laws.Leak adaptation.time=2": (
         "the module is the reader's"
     ),
-    "identify --config-dir mine arm=my_arm data=mine.csv": "the folder is the reader's",
+    "simulate experiment=kinematic model=custom model.kind=my_models.Quadratic model.rods=4": (
+        "the module is the reader's"
+    ),
+    "robot experiment=setpoint hardware.actuator.kind=my_motors.Motors hardware.actuator.port=/dev/ttyUSB0": (
+        "the module is the reader's"
+    ),
+    "identify arm=mine.yaml data=mine.csv recording.inputs=[a,b,c,d,e,f] recording.bodies=[[x1,y1,z1],[x2,y2,z2]]": (
+        "the file is the reader's"
+    ),
+    "identify arm=runs/identify/FOLDER/arm.yaml identification=ftdcr_v6 data=train.csv": "the run is the reader's",
 }
 """Command -> why it is not checked."""
 
@@ -51,10 +59,6 @@ UNRUN_BLOCKS: dict[str, str] = {
     "docs/speed.md 1": "builds a library for half a minute; tests/native/test_steps.py calls one",
 }
 """Block -> why it is not run."""
-if not hasattr(apcc_torch, "Arm"):
-    UNRUN_BLOCKS["README.md 2"] = "apcc_torch.Arm is not there yet"
-if find_spec("apcc_torch.control.length_law") is None:
-    UNRUN_BLOCKS["docs/architecture.md 1"] = "LengthLaw is not there yet"
 
 NEEDS = {"sweep=optuna": "hydra_plugins.hydra_optuna_sweeper"}
 """What a command holds -> the extra that it cannot be composed without."""
@@ -67,11 +71,10 @@ BLOCKS = [block for page in PAGES for block in python_blocks(page)]
 FLAGS = {"-m", "--multirun", "--batch"}
 
 
-def composed_benchmark(*overrides: str) -> BenchmarkConfig:
+def composed_benchmark(*overrides: str) -> BenchmarkSettings:
     """The benchmark's settings, with those of the runs that the overrides name, else of a comparison's first run."""
-    ConfigStore.instance().store(name="benchmark_schema", node=BenchmarkConfig)
     with initialize_config_dir(conf_path(), version_base="1.3"):
-        config = typed(compose("benchmark", list(overrides)), BenchmarkConfig)
+        config = typed(compose("benchmark", list(overrides)), BenchmarkSettings)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(
             benchmark, "experiment", lambda name, changes: settings("simulate", f"experiment={name}", *changes)
@@ -83,12 +86,11 @@ def composed_benchmark(*overrides: str) -> BenchmarkConfig:
     return config
 
 
-def composed_identify(*overrides: str) -> IdentifyConfig:
+def composed_identify(*overrides: str) -> IdentifySettings:
     """Identification's settings; the program finds the arm in a recording that names none."""
-    ConfigStore.instance().store(name="identify_schema", node=IdentifyConfig)
     arm = () if any(o.startswith("arm=") for o in overrides) else ("arm=trunk",)
     with initialize_config_dir(conf_path(), version_base="1.3"):
-        return typed(compose("identify", [*overrides, *arm]), IdentifyConfig)
+        return typed(compose("identify", arm_override([*overrides, *arm])), IdentifySettings)
 
 
 PROGRAMS: dict[str, Callable[..., Any]] = {
@@ -183,38 +185,25 @@ def test_python_block(block: Block, monkeypatch: pytest.MonkeyPatch) -> None:
     exec(compile(block.code, block.name, "exec"), names_in(block.page))
 
 
-def flat(group: Any, prefix: str = "") -> dict[str, Any]:
-    """Dotted key -> value of settings within settings, groups included; what stands in a mapping is not followed."""
-    by_key: dict[str, Any] = {}
-    for each in fields(group):
-        value = getattr(group, each.name)
-        by_key[prefix + each.name] = value
-        if is_dataclass(value) and not isinstance(value, type):
-            by_key |= flat(value, f"{prefix}{each.name}.")
-    return by_key
-
-
 @cache
-def known_keys() -> dict[str, Any]:
+def known_keys() -> set[str]:
     """Every key of every program, whatever is chosen."""
     choices = [[f"{g}={path.stem}" for path in sorted((Path(conf_path()) / g).glob("*.yaml"))] for g in CHOSEN]
-    some = zip_longest(*choices, fillvalue="figures=false")
+    own = [[choice for choice in group if not choice.endswith("=custom")] for group in choices]
+    some = zip_longest(*own, fillvalue="figures=false")
     every = [settings("simulate", "experiment=dynamic_run_2", *dict.fromkeys(chosen)) for chosen in some]
-    every += [settings("simulate", "experiment=kinematic"), settings("simulate", "experiment=replay", "data=FOLDER")]
     every += [settings("robot", "experiment=setpoint", "hardware=dynamixel_optitrack")]
-    every += [settings("robot", "experiment=experiment_1"), settings("identify", "data=PATH")]
-    return {key: value for each in every for key, value in flat(each).items()}
+    every += [settings("robot", "experiment=setpoint"), settings("identify", "data=PATH")]
+    told = [row for each in every for row in rows(each)]
+    return {row.key for row in told} | {f"{row.key}.kind" for row in told if not row.source}
 
 
 @pytest.mark.parametrize("page", PAGES, ids=name_of)
 def test_every_key_that_a_page_names_exists(page: Path) -> None:
-    known = known_keys()
-    groups = {key.partition(".")[0] for key in known if "." in key}
-    free = {key for key, value in known.items() if isinstance(value, dict)}
-    for key in keys(page):
-        parts = key.split(".")
-        inside = any(".".join(parts[:k]) in free for k in range(1, len(parts)))
-        assert parts[0] not in groups or key in known or inside, f"{name_of(page)}: {key} is no key"
+    groups = {key.partition(".")[0] for key in known_keys() if "." in key}
+    named = {re.sub(r"\.[A-Z]{3,}$", "", key) for key in keys(page)}  # bounds.KEY names a group
+    for key in named - known_keys():
+        assert key.partition(".")[0] not in groups, f"{name_of(page)}: {key} is no key"
 
 
 def test_every_listed_exception_is_still_there() -> None:

@@ -23,7 +23,7 @@ MAX_LINES = 330
 # never another unit of its own line. The longest name wins: "report.__main__" is a program, the rest of report is not.
 LAYERS: tuple[tuple[str, ...], ...] = (
     ("errors",),
-    ("conf_path", "files", "modes"),
+    ("conf_path", "files", "modes", "spread"),
     ("settings", "shapes"),
     ("part",),
     ("classes",),
@@ -44,7 +44,7 @@ LAYERS: tuple[tuple[str, ...], ...] = (
     ("experiments",),
     ("paper",),
     ("sweeps",),
-    ("simulate",),
+    ("composed", "simulate"),
     ("benchmark", "identify", "report.__main__", "robot", "robot_log"),
 )
 
@@ -53,7 +53,7 @@ APART: dict[str, frozenset[str]] = {"hardware": frozenset({"simulation"})}
 
 # Who alone may import a heavy or program-only library.
 RESTRICTED: dict[str, frozenset[str]] = {
-    "hydra": frozenset({"benchmark", "identify", "robot", "simulate", "sweeps"}),
+    "hydra": frozenset({"benchmark", "composed", "identify", "robot", "simulate", "sweeps"}),
     "matplotlib": frozenset({"report", "report.__main__"}),
     "gymnasium": frozenset({"envs"}),
     "stable_baselines3": frozenset({"envs"}),

@@ -31,6 +31,7 @@ PUBLIC_NAMES = (
     "SoftArmDynamics",
     "StateFeedback",
     "TendonRouting",
+    "compose",
     "decouple",
     "shape_error",
 )

@@ -152,12 +152,7 @@ class SoftArmDynamics(Part):
         return assembled(composite(bend, shape, sums, self.before))
 
     def gravity(self, q: Tensor, payload: Payload = None) -> Tensor:
-        """G(q) = dU_gravity/dq (..., n), Eq. (38) [Dalenberg].
-
-        Args:
-            q: (..., 3 n_b) rad, rad, m.
-            payload: (...) point mass at the tip, kg.
-        """
+        """G(q) = dU_gravity/dq (..., n), Eq. (38) [Dalenberg]; arguments as for `inertia`."""
         return self.static_load(q, payload)
 
     def static_load(

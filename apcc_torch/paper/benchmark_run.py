@@ -56,7 +56,7 @@ def on_grid(config: SimulateSettings, grid: GridSettings, adaptive: bool) -> Sim
     cut = replace(
         e,
         setpoints=e.setpoints[: grid.setpoints],
-        payloads=e.payloads if grid.payloads is None else tuple(grid.payloads),
+        payloads=e.payloads if grid.payloads is None else grid.payloads,
         duration=e.duration if grid.duration is None else grid.duration,
     )
     return replace(config, experiment=cut, controller=replace(config.controller, adaptive=adaptive))
@@ -68,8 +68,9 @@ def check_pair(run: str, pair: Pair) -> None:
     for key in ("setpoints", "payloads", "duration"):
         if getattr(one, key) != getattr(other, key):
             raise ConfigError(f"both controllers of {run} must have the same experiment.{key}")
-    if pair.standard.plant != pair.adaptive.plant:
-        raise ConfigError(f"both controllers of {run} must drive the same plant")
+    for key in ("arm", "plant"):
+        if getattr(pair.standard, key) != getattr(pair.adaptive, key):
+            raise ConfigError(f"both controllers of {run} must have the same {key}")
 
 
 def simulate_all(pairs: Pairs, folder: Path, progress: bool, workers: int = 1) -> dict[str, Outcomes]:
@@ -132,8 +133,6 @@ def run(config: BenchmarkSettings, pairs: Pairs, folder: Path) -> str:
         ConfigError, ValueRangeError: A setting has no meaning.
     """
     started = time.perf_counter()
-    if config.workers < 1:
-        raise ConfigError(f"workers must be at least 1, got {config.workers}")
     if not any(pairs.values()):
         raise ConfigError("grid.comparisons must name at least one run")
     for runs in pairs.values():
