@@ -214,6 +214,11 @@ def refuse_parameter(name: str, value: Any, instead: str) -> None:
         raise ConfigError(f"{name} is not trained here: {instead}")
 
 
+def untrained(value: Tensor) -> Tensor:
+    """The value for constants that do not follow it: of a Parameter what it is now, of anything else itself."""
+    return value.detach() if isinstance(value, nn.Parameter) else value
+
+
 def row_tensors(module: nn.Module) -> dict[str, tuple[Tensor, int]]:
     """Of a module and all it holds, the tensors that differ by row: dotted name, tensor, trailing dimensions."""
     by_name = {}

@@ -5,10 +5,11 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from apcc_torch.envs.places import Places
 from apcc_torch.model.inertia import base_frames, bending, rotate
+from apcc_torch.part import Part
 
 
 class Positions(NamedTuple):
@@ -22,7 +23,7 @@ class Positions(NamedTuple):
     sensors: Tensor
 
 
-class BackbonePoints(nn.Module):
+class BackbonePoints(Part):
     """The positions of chosen material points.
 
     Args:
