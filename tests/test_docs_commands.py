@@ -23,7 +23,7 @@ import torch
 from hydra import compose, initialize_config_dir
 from hydra.core.override_parser.overrides_parser import OverridesParser
 
-from apcc_torch import benchmark, identify  # whose import registers their settings with hydra
+from apcc_torch import benchmark  # whose import registers their settings with hydra
 from apcc_torch.composition.arm_file import arm_override
 from apcc_torch.composition.benchmark import BenchmarkSettings
 from apcc_torch.composition.help import rows
@@ -38,7 +38,7 @@ UNCHECKED_COMMANDS: dict[str, str] = {
     "simulate experiment=kinematic adaptation=custom adaptation.kind=my_laws.Leak adaptation.time=2": (
         "the module is the reader's"
     ),
-    "simulate experiment=kinematic model=custom model.kind=my_models.Quadratic model.rods=4": "the module is the reader's",
+    "simulate experiment=kinematic model=custom model.kind=my_models.Quadratic model.rods=4": "the reader's module",
     "robot experiment=setpoint hardware.actuator.kind=my_motors.Motors hardware.actuator.port=/dev/ttyUSB0": (
         "the module is the reader's"
     ),
