@@ -49,8 +49,8 @@ def solve_spd_unrolled(A: Tensor, B: Tensor) -> Tensor:
         for k, known in enumerate(reversed(solution)):
             x = x - columns[j][k] * known
         solution.append(x)
-    found = torch.stack(solution[::-1]).movedim((0, 1), (-2, -1))
-    return torch.where(positive[..., None, None], found, torch.nan)
+    result = torch.stack(solution[::-1]).movedim((0, 1), (-2, -1))
+    return torch.where(positive[..., None, None], result, torch.nan)
 
 
 def inverse_spd3(A: Tensor) -> Tensor:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import typing
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import MISSING, Field, is_dataclass
+from dataclasses import MISSING, Field, fields, is_dataclass
 from types import UnionType
 from typing import Any, TypeVar, Union, cast
 
@@ -83,15 +83,13 @@ def _value(value: Any, each: Field[Any], root: type[Settings], key: str, trust: 
                 )
             return None
         return read_part(value, about.base, key, trust, part)
-    options = typing.get_args(annotation) if typing.get_origin(annotation) in (Union, UnionType) else (annotation,)
-    nested = next((option for option in options if is_dataclass(option)), None)
+    options, nested = _options(annotation), nested_in(root, each.name)
     if value is None and type(None) in options:
         return None
     if nested is not None:
         if type(None) in options and isinstance(value, Mapping) and not value and default is None:
             return None  # a part that may be left out is there once it has a key
-        kind = cast(type[Settings], nested)
-        return read(value, kind, key, trust, default if isinstance(default, kind) else None)
+        return read(value, nested, key, trust, default if isinstance(default, nested) else None)
     for option in options:
         origin, inner = typing.get_origin(option), typing.get_args(option)
         if origin is dict and is_dataclass(inner[1]) and isinstance(value, Mapping):
@@ -103,6 +101,18 @@ def _value(value: Any, each: Field[Any], root: type[Settings], key: str, trust: 
     if isinstance(value, int) and not isinstance(value, bool) and float in options and int not in options:
         return float(value)
     return value
+
+
+def _options(annotation: Any) -> tuple[Any, ...]:
+    return typing.get_args(annotation) if typing.get_origin(annotation) in (Union, UnionType) else (annotation,)
+
+
+def nested_in(root: type[Settings], name: str) -> type[Settings] | None:
+    """The class of the settings that a field holds, which may be left out; None of a value, or a part by its class."""
+    if any(about_of(each).base is not None for each in fields(root) if each.name == name):
+        return None
+    options = _options(_types(root)[name])
+    return next((cast(type[Settings], option) for option in options if is_dataclass(option)), None)
 
 
 def _entries(value: Any, inner: Any, key: str) -> tuple[Any, ...]:

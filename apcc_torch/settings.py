@@ -15,19 +15,14 @@ from dataclasses import MISSING, dataclass, field, fields
 from typing import Any, ClassVar, NamedTuple, Self, TypeVar
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from apcc_torch.errors import ConfigError, ValueRangeError
 from apcc_torch.modes import values_of
+from apcc_torch.spread import is_profile
 
 Setting = float | Tensor
 """A number for all rows, or (...) numbers that broadcast with the leading dimensions of what they are used on."""
-
-Numbers = float | Sequence[float | str] | Tensor
-"""A number for all entries, one an entry, a profile `["along", ...]`, see `spread`, or a tensor (..., n)."""
-
-ALONG = "along"
-"""The first entry of a list that is a profile: what follows are values from the base to the tip, however many."""
 
 PAPER, OURS = "paper", "ours"
 """Where a default comes from: the paper, or a choice that the paper leaves open."""
@@ -100,7 +95,16 @@ def setting(
     factory: Any = MISSING,
     **about: Any,
 ) -> Any:
-    """A field of a `Settings` class; `about` as `About`. Without a default or factory it has to be given."""
+    """A field of a `Settings` class; `about` as `About`. Without a default or factory it has to be given.
+
+    Example:
+        >>> from dataclasses import dataclass
+        >>> @dataclass(frozen=True, kw_only=True)
+        ... class LeakSettings(Settings):
+        ...     time: float = setting(2.0, "s", meaning="in which the estimate leaks away", above=0)
+        >>> LeakSettings(time=3.0)
+        LeakSettings(time=3.0)
+    """
     metadata = {"about": About(unit, source, meaning, **about)}
     if factory is not MISSING:
         return field(default_factory=factory, metadata=metadata)
@@ -184,6 +188,10 @@ def resolved(kind: type[Kind], given: Sequence[Any], changes: Mapping[str, Any])
 
     Raises:
         ConfigError: There are too many values, or a name is unknown.
+
+    Example:
+        >>> resolved(TaskIntegralSettings, (), {"gain": 2.0})
+        TaskIntegralSettings(gain=2.0, reach=0.001)
     """
     told_names, owner = names(kind), kind.__name__.removesuffix("Settings")
     check_names(owner, changes, told_names)
@@ -292,54 +300,3 @@ def aligned(value: Value, extra: int) -> Value:
 def is_on(value: Setting) -> bool:
     """Whether a setting that zero turns off is on: a number above zero. Rows with a tensor of them are all on."""
     return isinstance(value, Tensor) or value > 0
-
-
-def spread(name: str, value: Numbers, n: int) -> Tensor:
-    """One number an entry, (..., n), float64 unless a tensor says otherwise.
-
-    Args:
-        name: The setting's name, for messages.
-        value: A number for all; n numbers; a tensor (..., n); or a profile `["along", ...]`, numbers from the base to
-            the tip that are read off at each entry's place: it serves arms of any n.
-        n: Number of entries.
-
-    Raises:
-        ConfigError: It is none of these.
-    """
-    if isinstance(value, Tensor):
-        if value.dim() and value.shape[-1] != n:
-            raise ConfigError(f"{name} must have {n} entries, got {value.shape[-1]}")
-        if isinstance(value, nn.Parameter) and not value.dim():
-            raise ConfigError(f"{name} is trained as {n} numbers: hand in nn.Parameter(torch.full(({n},), number))")
-        return value if value.dim() else value.expand(n)
-    if isinstance(value, int | float) and not isinstance(value, bool):
-        return torch.full((n,), float(value), dtype=torch.float64)
-    if is_profile(value) and len(value) > 1:  # type: ignore[arg-type]
-        points = _vector(name, value[1:], n)  # type: ignore[index]
-        return points if len(points) == n else _resampled(points, n)
-    numbers = _vector(name, value, n)
-    if len(numbers) != n:
-        raise ConfigError(f"{name} must have {n} entries, got {len(numbers)}")
-    return numbers
-
-
-def is_profile(value: Any) -> bool:
-    """Whether it is a list of values along the arm."""
-    return isinstance(value, list | tuple) and len(value) > 0 and value[0] == ALONG
-
-
-def _vector(name: str, value: Any, n: int) -> Tensor:
-    try:
-        if isinstance(value, str | bool) or any(isinstance(entry, str | bool) for entry in value):
-            raise TypeError
-        return torch.tensor([float(entry) for entry in value], dtype=torch.float64)
-    except (TypeError, ValueError) as error:
-        raise ConfigError(f"{name} must be a number, a list of {n} numbers or [along, ...], got {value!r}") from error
-
-
-def _resampled(points: Tensor, n: int) -> Tensor:
-    """A profile (m,) at the middles of n equal shares of the arm, between the middles of m, constant beyond them."""
-    m = len(points)
-    at = ((torch.arange(n, dtype=points.dtype) + 0.5) * (m / n) - 0.5).clamp(0.0, m - 1.0)
-    low = at.floor().to(torch.int64).clamp(max=max(m - 2, 0))
-    return torch.lerp(points[low], points[(low + 1).clamp(max=m - 1)], at - low)

@@ -77,15 +77,17 @@ def test_help_teaches(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFix
     with suppress(SystemExit):
         main()
     printed = capsys.readouterr().out
-    assert "table.json" in printed and "grid: paper, small" in printed
-    assert "experiments.common" in printed
+    assert "table.json" in printed and "grid=paper" in printed and "grid=small" in printed
+    assert "experiments.common=[]" in printed and "[ours] how many of each experiment's set-points" in printed
+    assert "hardware" not in printed and "guards" not in printed, "what it does not read"
 
 
 @pytest.mark.parametrize(
     ("argument", "sentence"),
     [
         ("grid.setpoints=11", "grid.setpoints must be between 1 and 10, got 11"),
-        ('experiments.common=["controller.gama=1"]', "controller.gama"),
+        ('experiments.common=["controller.gama=1"]', "controller.gama is no setting"),
+        ('experiments.adaptive=["residual=none","residual.rate=1"]', "residual.rate is read by nothing"),
         ("grid.comparisons.A.runs.run_1.standard=dynamic_run_7", "dynamic_run_7"),
         ("grid.comparisons.A.runs.run_1={standard: dynamic_run_1, adaptive: robot_2}", "same experiment.setpoints"),
     ],

@@ -35,7 +35,6 @@ AWAITED = frozenset(
         "LengthLaw",
         "Measurement",
         "Obstacle",
-        "SensorGate",
         "SetPoint",
         "SineTrajectory",
         "SolverStatus",

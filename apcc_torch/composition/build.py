@@ -16,9 +16,9 @@ from apcc_torch.model.arm import Arm, vector, with_changes
 from apcc_torch.model.kinematic_model import KinematicModel
 from apcc_torch.model.tendons import TendonRouting
 from apcc_torch.part import part_of
-from apcc_torch.settings import Numbers, spread
 from apcc_torch.simulation.plant import Plant
 from apcc_torch.simulation.sensors import PoseSensors
+from apcc_torch.spread import Numbers, spread
 
 DTYPES = {"float64": torch.float64, "float32": torch.float32}
 

@@ -10,9 +10,10 @@ from apcc_torch.control.control_settings import ControlSettings
 from apcc_torch.estimation.sensor_gate import SensorGateSettings
 from apcc_torch.model.arm import Arm, Lengths
 from apcc_torch.native.compiled import MODES
-from apcc_torch.settings import OURS, PAPER, Numbers, Setting, Settings, setting
+from apcc_torch.settings import OURS, PAPER, Setting, Settings, setting
 from apcc_torch.simulation.plant import Plant, PlantSettings
 from apcc_torch.simulation.sensors import PoseSensorsSettings
+from apcc_torch.spread import Numbers
 
 Points = tuple[Any, ...]
 """Lists of three numbers, m; or a tensor, one set a row."""

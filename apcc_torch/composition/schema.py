@@ -12,13 +12,13 @@ from omegaconf.errors import OmegaConfBaseException
 
 from apcc_torch.conf_path import conf_path
 from apcc_torch.errors import ConfigError
-from apcc_torch.reading import defaults, plain, read
+from apcc_torch.reading import defaults, nested_in, plain, read
 from apcc_torch.settings import Settings, about_of, default_of, did_you_mean, keys
 
 Root = TypeVar("Root", bound=Settings)
 
-OWN_FILES = re.compile(r"-(cd|cp|cn|-config-(dir|path|name))\b")
-"""Options of hydra that bring configurations of a user's own, which may hold keys of their own."""
+OTHERS = re.compile(r"-(cd|cp|cn|sc|-config-(dir|path|name)|-shell-completion)\b")
+"""Options of hydra that bring a user's own configurations, which may hold keys of their own, or no settings at all."""
 
 
 def schema(root: type[Settings]) -> DictConfig:
@@ -49,14 +49,37 @@ def _chosen(values: dict[str, Any], root: type[Settings]) -> dict[str, Any]:
 
 def check_words(words: Sequence[str], root: type[Settings]) -> None:
     """Raises ConfigError where a word of a command line sets what is neither a key, nor a group, nor hydra's own."""
-    if any(OWN_FILES.match(word) for word in words):
+    if any(OTHERS.match(word) for word in words):
         return
     groups = [path.name for path in Path(conf_path()).iterdir() if path.is_dir()]
     known = [each.name for each in keys(root)]
     for word in words:
-        name = re.match(r"(\w+)[\w./@:-]*=", word)
-        if name is not None and name[1] not in (*known, *groups, "hydra"):
-            raise ConfigError(f"{name[1]} is no setting{did_you_mean(name[1], known)}")
+        key = re.match(r"(\w+)([\w./@:-]*)=", word)
+        if key is not None and key[1] in known:
+            _check_key(f"{key[1]}{key[2]}".split("."), root)
+        elif key is not None and key[1] not in (*groups, "hydra"):
+            raise ConfigError(f"{key[1]} is no setting{did_you_mean(key[1], known)}")
+
+
+def _check_key(path: Sequence[str], root: type[Settings]) -> None:
+    """As far as the classes are known before anything is chosen."""
+    for depth, name in enumerate(path):
+        known = [each.name for each in keys(root)]
+        if name not in known:
+            raise ConfigError(f"{'.'.join(path[: depth + 1])} is no setting{did_you_mean(name, known)}")
+        nested = nested_in(root, name)
+        if nested is None:
+            return
+        root = nested
+
+
+def sentence(error: Exception) -> str:
+    """What hydra or OmegaConf say of an error, as one sentence; of a choice that there is not, with what there is."""
+    said, _, options = str(error).partition("Available options in ")
+    first = said.strip().splitlines()[0]
+    if not options:
+        return first
+    return f"{first}; there is {', '.join(options.partition('Config search path')[0].split()[1:])}"
 
 
 def values_of(cfg: DictConfig) -> dict[str, Any]:
@@ -68,7 +91,7 @@ def values_of(cfg: DictConfig) -> dict[str, Any]:
     try:
         values = OmegaConf.to_container(OmegaConf.masked_copy(cfg, [str(k) for k in cfg if k != "hydra"]), resolve=True)
     except OmegaConfBaseException as error:
-        raise ConfigError(str(error).splitlines()[0]) from error
+        raise ConfigError(sentence(error)) from error
     assert isinstance(values, Mapping)  # of a DictConfig
     return {str(key): value for key, value in values.items()}
 

@@ -14,7 +14,8 @@ from apcc_torch.composition.build import DTYPES
 from apcc_torch.composition.run_settings import SimulateSettings
 from apcc_torch.control.gain import gain_matrix
 from apcc_torch.part import part_of
-from apcc_torch.settings import About, Settings, about_of, is_profile, spread
+from apcc_torch.settings import About, Settings, about_of
+from apcc_torch.spread import is_profile, spread
 
 Path = tuple[str, ...]
 

@@ -14,8 +14,9 @@ from apcc_torch.control.length_law import LawStep, LengthLaw, Memory
 from apcc_torch.estimation.state_feedback import StateFeedback
 from apcc_torch.model.coordinates import Coordinates
 from apcc_torch.part import hold_rows
-from apcc_torch.settings import OURS, PAPER, Numbers, Setting, Settings, aligned, is_on, resolved, setting
+from apcc_torch.settings import OURS, PAPER, Setting, Settings, aligned, is_on, resolved, setting
 from apcc_torch.shapes import check_same, check_tensor
+from apcc_torch.spread import Numbers
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -7,8 +7,8 @@ from torch import Tensor, nn
 
 from apcc_torch.errors import ShapeError, ValueRangeError
 from apcc_torch.modes import holds
-from apcc_torch.settings import Numbers, spread
 from apcc_torch.shapes import check_finite, check_tensor
+from apcc_torch.spread import Numbers, spread
 
 
 def gain_matrix(name: str, gain: Numbers, n: int) -> Tensor:

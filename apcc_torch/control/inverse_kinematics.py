@@ -13,8 +13,9 @@ from apcc_torch.control.gain import gain_matrix
 from apcc_torch.linalg import damped_pseudo_inverse
 from apcc_torch.model.coordinates import CONSTANT_CURVATURE, Coordinates
 from apcc_torch.part import Part, hold_rows
-from apcc_torch.settings import OURS, PAPER, Numbers, Setting, Settings, aligned, resolved, setting, spread
+from apcc_torch.settings import OURS, PAPER, Setting, Settings, aligned, resolved, setting
 from apcc_torch.shapes import check_finite, check_same, check_tensor
+from apcc_torch.spread import Numbers, spread
 
 
 def elongation_cost(

@@ -26,8 +26,9 @@ from apcc_torch.model.abscissae import located
 from apcc_torch.model.kinematic_model import KinematicModel
 from apcc_torch.modes import holds, none_left, values_of
 from apcc_torch.part import hold_rows, refuse_parameter
-from apcc_torch.settings import OURS, Setting, aligned, is_on, is_profile, resolved, setting
+from apcc_torch.settings import OURS, Setting, aligned, is_on, resolved, setting
 from apcc_torch.shapes import check_finite, check_tensor
+from apcc_torch.spread import is_profile
 
 UNSEEN = 1.0
 """V of a model before its first visit, m^2: more than any arm can leave, and finite, so that gradients are."""

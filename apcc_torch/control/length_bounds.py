@@ -11,8 +11,9 @@ from torch import Tensor
 from apcc_torch.errors import ConfigError, ValueRangeError
 from apcc_torch.modes import holds, none_left
 from apcc_torch.part import Part, hold_rows, refuse_parameter
-from apcc_torch.settings import OURS, Numbers, Settings, resolved, setting, spread
+from apcc_torch.settings import OURS, Settings, resolved, setting
 from apcc_torch.shapes import check_finite, check_positive, check_tensor
+from apcc_torch.spread import Numbers, spread
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -29,8 +29,9 @@ from apcc_torch.lie import se3
 from apcc_torch.linalg import solve_spd
 from apcc_torch.model.abscissae import located
 from apcc_torch.part import hold_rows
-from apcc_torch.settings import OURS, Numbers, Setting, aligned, is_on, resolved, setting, spread
+from apcc_torch.settings import OURS, Setting, aligned, is_on, resolved, setting
 from apcc_torch.shapes import check_finite, check_tensor
+from apcc_torch.spread import Numbers, spread
 
 TARGETS = ("curve", "sensors")
 

@@ -23,6 +23,7 @@ from apcc_torch.model.arm import Arm
 from apcc_torch.model.backbone import PCCBackbone
 from apcc_torch.part import Part, part_of
 from apcc_torch.settings import OURS, resolved, setting
+from apcc_torch.spread import ALONG
 
 DYNAMICS = ("kinematic", "dynamic")
 
@@ -31,7 +32,7 @@ CONTROL: Mapping[str, Any] = {
     "velocity": "commanded",
     "window": 3,  # of a filter that nothing reads then
     "order": 1,
-    "gamma": {"along": [9.0, 4.25, 3.5]},  # a decade up they are section V-A's
+    "gamma": [ALONG, 9.0, 4.25, 3.5],  # a decade up they are section V-A's
     "residual": None,
 }
 """How the controller of an environment differs from the shipped one."""
@@ -150,8 +151,8 @@ class AdaptiveLoop(Part):
             "feedback.abscissae": X,
         }
         if self.routed:
-            gains["routing.anchors"] = self.racks.on(true).unsqueeze(-2)
-            gains["routing.own_starts"] = self.starts.on(true).unsqueeze(-2)
+            gains["routing.anchors"] = self.racks.on(true)
+            gains["routing.starts"] = self.starts.on(true)
         upright = torch.eye(4, dtype=seen.dtype, device=seen.device)[:, :3].expand(*seen.shape[:-1], 4, 3)
         place = torch.nn.functional.pad(seen, (0, 1), value=1.0)
         T = torch.cat((upright, place.unsqueeze(-1)), dim=-1)  # orientations are not used

@@ -14,6 +14,7 @@ from apcc_torch.control.pid import ramp
 from apcc_torch.envs.backbone_points import BackbonePoints, Positions
 from apcc_torch.envs.places import middles_and_ends, places, sensors_of
 from apcc_torch.envs.randomisation import RowParameters
+from apcc_torch.errors import ConfigError
 from apcc_torch.linalg import solve_spd
 from apcc_torch.model.arm import Arm, with_changes
 from apcc_torch.model.integrators import ArmState
@@ -24,6 +25,10 @@ from apcc_torch.simulation.plant import Plant, PlantSettings
 
 PLANT = {"substeps": 1}
 """How the plant of an environment differs from a simulation's: one step of 10 ms stays within 0.1 mm of sixteen."""
+
+
+LEANING_STEPS = 60
+"""Steps to the rest of an arm whose base does not point up or down; gravity bends less than its tendons hold."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -89,6 +94,9 @@ class DynamicArm(Part):
         varied: Whether lengths or stiffness differ from row to row; the payload always may.
         like: Dtype and device.
         *settings, **changes: See `DynamicArmSettings`.
+
+    Raises:
+        ConfigError: The true arm has other numbers of sections or tendons.
     """
 
     settings_type = DynamicArmSettings
@@ -101,15 +109,18 @@ class DynamicArm(Part):
         self.hold(s)
         own = s.plant_settings()
         self.arm, self.varied, self.refine = with_changes(arm, own.arm), varied, own.refine
+        if (self.arm.n_sections, self.arm.n_tendons) != (arm.n_sections, arm.n_tendons):
+            raise ConfigError("plant.arm must have as many sections and tendons as the arm")
         plant = Plant.on(arm, torch.zeros((), dtype=torch.float64), own).to(like)
         self.moves = _Moves(plant, period, own.substeps)
+        self.leans = bool(plant.dynamics.base_rotation[2, 2].abs() < 1.0 - 1e-9)
         self.register_buffer("nominal", plant.dynamics.lengths)
         self.places = BackbonePoints(
             middles_and_ends(arm.n_sections), sensors_of(self.arm, True), self.refine, plant.dynamics.base_rotation
         )
         # Only what a tendon does on its way asks where the racks of a row's own arm are.
         lengths, routing = self.arm.rest_lengths(), self.arm.routing()
-        ends = {"anchors": routing.anchors, "own_starts": routing.starts} if plant.transmission is not None else {}
+        ends = {"anchors": routing.anchors, "starts": routing.starts} if plant.transmission is not None else {}
         self.tendon_ends = {name: places(X, lengths).to(like) for name, X in ends.items()}
 
     def lengths(self, rows: RowParameters) -> Tensor:
@@ -119,14 +130,16 @@ class DynamicArm(Part):
     def initial(self, rows: RowParameters) -> DynamicState:
         """Arms at rest under gravity, their tendons held at their zero lengths.
 
-        An arm that is straight and upright has no force on its bends, and the one on its elongations does not depend on
-        them: (K + K_P B B^T) q = -G(0) holds there, not only near it.
+        A straight arm that hangs or stands has no force on its bends, and the one on its elongations does not depend on
+        them: (K + K_P B B^T) q = -G(0) holds there, not only near it. One that leans finds its rest step by step.
         """
         plant, own = self.moves.plant, self._own(rows)
         zero = torch.zeros_like(self.lengths(rows)).repeat_interleave(3, dim=-1)
-        gravity, stiffness = functional_call(_AtRest(plant), own, (zero,))
-        held = torch.diag_embed(stiffness) + plant.actuation_stiffness
-        q = solve_spd(held.expand(*zero.shape, -1), -gravity.unsqueeze(-1)).squeeze(-1)
+        q = zero
+        for _ in range(LEANING_STEPS if self.leans else 1):
+            gravity, stiffness = functional_call(_AtRest(plant), own, (q,))
+            held = torch.diag_embed(stiffness) + plant.actuation_stiffness
+            q = solve_spd(held.expand(*zero.shape, -1), -gravity.unsqueeze(-1)).squeeze(-1)
         return DynamicState(ArmState(q, zero), torch.zeros_like(plant.lengths(zero)))
 
     def step(self, state: DynamicState, y: Tensor, y_next: Tensor, q_d: Tensor, rows: RowParameters) -> DynamicState:
@@ -155,18 +168,27 @@ class DynamicArm(Part):
         """The plant's buffers that each row has for itself."""
         own = {"plant.payload": rows.payload}
         if self.varied:
-            lengths, dynamics = self.lengths(rows), self.moves.plant.dynamics
-            stiffness = rows.stiffness.unsqueeze(-1)
-            factor = stiffness / rows.lengths if self.arm.stiffness_rule == "series" else stiffness * rows.lengths
-            factor = factor.repeat_interleave(self.refine, dim=-1)
+            lengths, dynamics, arm = self.lengths(rows), self.moves.plant.dynamics, self.arm
+            axial, bending = (
+                self._factor(rows, arm.stiffness_rule == "series" or rigidity is not None)
+                for rigidity in (arm.axial_rigidity, arm.bending_rigidity)
+            )
+            damping = torch.stack((bending, bending, axial), dim=-1).flatten(-2)
             own |= {
                 "plant.dynamics.lengths": lengths,
-                "plant.dynamics.masses": self.arm.mass * lengths / lengths.sum(-1, keepdim=True),
-                "plant.dynamics.axial_stiffness": dynamics.axial_stiffness * factor,
-                "plant.dynamics.bending_stiffness": dynamics.bending_stiffness * factor,
-                "plant.dynamics.own_damping": dynamics.damping_diagonal * factor.repeat_interleave(3, dim=-1),
+                "plant.dynamics.axial_stiffness": dynamics.axial_stiffness * axial,
+                "plant.dynamics.bending_stiffness": dynamics.bending_stiffness * bending,
+                "plant.dynamics.own_damping": dynamics.damping_diagonal * damping,
                 "plant.dynamics.batch_marker": torch.zeros_like(rows.payload),
             }
+            if arm.masses is None:  # else each section keeps its own
+                own["plant.dynamics.masses"] = arm.mass * lengths / lengths.sum(-1, keepdim=True)
             model = lengths.unflatten(-1, (-1, self.refine)).sum(-1)
-            own |= {f"plant.routing.{name}": ends.on(model).unsqueeze(-2) for name, ends in self.tendon_ends.items()}
+            own |= {f"plant.routing.{name}": ends.on(model) for name, ends in self.tendon_ends.items()}
         return own
+
+    def _factor(self, rows: RowParameters, series: bool) -> Tensor:
+        """(N, n_t) true stiffness over the nominal one; of springs in series, a longer section is softer."""
+        stiffness = rows.stiffness.unsqueeze(-1)
+        factor = stiffness / rows.lengths if series else stiffness * rows.lengths
+        return factor.repeat_interleave(self.refine, dim=-1)

@@ -62,7 +62,7 @@ def load_renderer(name: str | None, arm: Arm) -> Renderer:
         raise ConfigError('render_mode needs a renderer, e.g. "apcc_torch.report.arm_scene:ArmScene"')
     length = float(arm.rest_lengths().sum())
     try:
-        renderer: Renderer = load_env_creator(name)(length=length, upward=arm.base == "standing")  # type: ignore[assignment]
+        renderer: Renderer = load_env_creator(name)(length=length, upward=bool(arm.base_rotation()[2, 2] > 0))  # type: ignore[assignment]
     except ModuleNotFoundError as error:
         raise ConfigError(f"rendering needs {error.name}: pip install 'apcc-torch[viz]'") from error
     return renderer

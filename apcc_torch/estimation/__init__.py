@@ -13,7 +13,7 @@ from apcc_torch.estimation.pose_filter import PoseFilter, PoseFilterSettings
 from apcc_torch.estimation.rest_calibration import RestCalibration
 from apcc_torch.estimation.savitzky_golay import SavitzkyGolay, SavitzkyGolaySettings
 from apcc_torch.estimation.sensor_curve import SensorCurve, SensorCurveSettings
-from apcc_torch.estimation.sensor_gate import Reason, SensorGate, gate_recording
+from apcc_torch.estimation.sensor_gate import Reason, SensorGate, SensorGateSettings, gate_recording
 from apcc_torch.estimation.soft_window import SoftWindow
 from apcc_torch.estimation.state_feedback import StateFeedback, StateFeedbackSettings
 from apcc_torch.estimation.weighted_estimate import EstimateStatus, weighted_estimate
@@ -37,6 +37,7 @@ __all__ = [
     "SensorCurve",
     "SensorCurveSettings",
     "SensorGate",
+    "SensorGateSettings",
     "ShapeNoise",
     "SoftWindow",
     "StateFeedback",

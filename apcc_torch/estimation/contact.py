@@ -148,8 +148,8 @@ class ContactSearch(Part):
         low, high = grid[..., :1], grid[..., -1:]
         places = grid
         for k in range(self.refinements + 1):
-            found = self._at(posture, r, S, places)
-            misfit = torch.where(torch.isfinite(found.misfit), found.misfit, torch.inf)
+            result = self._at(posture, r, S, places)
+            misfit = torch.where(torch.isfinite(result.misfit), result.misfit, torch.inf)
             index = misfit.argmin(-1, keepdim=True)
             places = places.expand(misfit.shape)
             place = torch.gather(places, -1, index)
@@ -157,7 +157,7 @@ class ContactSearch(Part):
                 step = places[..., 1:2] - places[..., :1]
                 start, end = torch.maximum(place - step, low), torch.minimum(place + step, high)
                 places = start + (end - start) * self.shares.to(r)
-        force = torch.gather(found.value, -2, index.unsqueeze(-1).expand(*index.shape, 3))
+        force = torch.gather(result.value, -2, index.unsqueeze(-1).expand(*index.shape, 3))
         return force.squeeze(-2), place.squeeze(-1)
 
     def _at(self, posture: Posture, r: Tensor, S: Tensor, X: Tensor) -> WeightedEstimate:

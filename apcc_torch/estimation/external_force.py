@@ -302,8 +302,8 @@ class ForceBalance(Part):
             first = weighted_estimate(r, Phi, S, limit).value
             force = (axes.to(r) @ torch.where(torch.isfinite(first), first, 0.0).unsqueeze(-1)).squeeze(-1)
             covariance = self.covariance(exact, X, force, tare, mask, angular_mask)
-        found = weighted_estimate(r, Phi, covariance.double(), limit)
-        return found.to(posture.q_bar.dtype)
+        result = weighted_estimate(r, Phi, covariance.double(), limit)
+        return result.to(posture.q_bar.dtype)
 
     def _tendons(self, pi: Tensor) -> Tensor:
         own = self.routing.anchors.dtype

@@ -154,17 +154,17 @@ class LoadFromShape(Part):
         small = torch.zeros(batch, dtype=torch.bool, device=y.device)
         for _ in range(self.iterations):
             rest = self._rest(y, load, q)
-            found = self._step(rest, load, T, u, mask)
-            change = torch.where(torch.isfinite(found.value), found.value, 0.0)
+            result = self._step(rest, load, T, u, mask)
+            change = torch.where(torch.isfinite(result.value), result.value, 0.0)
             # One length for the whole step, so that its direction stays.
             change = change / (change.norm(dim=-1, keepdim=True) / largest).clamp(min=1.0)
             small = change.norm(dim=-1) < 1e-3 * largest
             q, load = rest.q, load + change
         rest = self._rest(y, load, q)
         assert rest.u is not None  # tendon lengths are prescribed
-        known = torch.isfinite(found.value) & rest.converged.unsqueeze(-1)
-        status = torch.where(rest.converged, found.status, int(EstimateStatus.INVALID))
-        final = found._replace(value=torch.where(known, load, torch.nan), status=status)
+        known = torch.isfinite(result.value) & rest.converged.unsqueeze(-1)
+        status = torch.where(rest.converged, result.status, int(EstimateStatus.INVALID))
+        final = result._replace(value=torch.where(known, load, torch.nan), status=status)
         return LoadEstimate(final, rest.q, rest.u, rest.converged & small)
 
     def _per_newton(self) -> float | Tensor:

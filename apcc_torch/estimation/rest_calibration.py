@@ -35,11 +35,10 @@ class RestCalibration:
         rest_scatter_rad: Largest angle of a rest frame's rotation from the rest rotation, rad.
 
     Example:
-        >>> one, place = torch.eye(3).double(), torch.tensor([[0.0, 0.0, 1.0]]).double()
-        >>> X = torch.tensor([0.4]).double()
-        >>> calibration = Calibration(("tip",), place[0], one, one.unsqueeze(0), 0.0 * place, abscissae=X)
-        >>> calibration.poses(1.4 * place, one.unsqueeze(0))[0, :3, 3]
-        tensor([0.0000, 0.0000, 0.4000], dtype=torch.float64)
+        >>> one, place = torch.eye(3).double(), torch.tensor([[0.0, 0.0, 0.4]]).double()
+        >>> calibration = RestCalibration.at_rest(("tip",), 0.0 * place[0], one, place, one.unsqueeze(0))
+        >>> calibration.abscissae
+        tensor([0.4000], dtype=torch.float64)
     """
 
     names: tuple[str, ...]

@@ -18,8 +18,9 @@ import torch
 from torch import Tensor
 
 from apcc_torch.part import Part, hold_rows
-from apcc_torch.settings import OURS, Numbers, Settings, resolved, setting, spread
+from apcc_torch.settings import OURS, Settings, resolved, setting
 from apcc_torch.shapes import batch_shape, check_tensor
+from apcc_torch.spread import Numbers, spread
 
 
 class Reason(IntEnum):
@@ -271,7 +272,7 @@ def gate_recording(gate: SensorGate, T: Tensor, tracked: Tensor, times: Tensor) 
         each of shape (N, k).
 
     Example:
-        >>> gate, T = SensorGate(1, max_reach=0.5, max_speed=2.0), torch.eye(4).double().repeat(3, 1, 1, 1)
+        >>> gate, T = SensorGate(torch.tensor([0.3]).double()), torch.eye(4).double().repeat(3, 1, 1, 1)
         >>> T[1, 0, 0, 3] = 0.4
         >>> times, tracked = torch.tensor([0.0, 0.01, 0.02]).double(), torch.ones(3, 1).bool()
         >>> held, verdict = gate_recording(gate, T, tracked, times)

@@ -124,8 +124,8 @@ def arrays(outcome: Outcome) -> dict[str, Tensor]:
 
 def metrics(outcome: Outcome) -> dict[str, float]:
     """Metrics of one run."""
-    found = dynamic_metrics(curves(thinned(outcome.log), outcome.arms), outcome.log.diverged_at)
-    return found | estimate_metrics(outcome)
+    values = dynamic_metrics(curves(thinned(outcome.log), outcome.arms), outcome.log.diverged_at)
+    return values | estimate_metrics(outcome)
 
 
 def _arms(config: SimulateSettings) -> Arms:
@@ -206,7 +206,7 @@ def estimate_metrics(outcome: Outcome) -> dict[str, float]:
         return {}
     end = dict(zip(PARAMETERS, log.theta_hat[-1].unbind(-1), strict=True))
     off = 1e3 * (end["payload"] - arms.theta[..., PARAMETERS.index("payload")]).abs()
-    found = {
+    values = {
         "payload_mass_error_end_mean_g": off.mean(),
         "payload_mass_error_end_max_g": off.max(),
         "bending_rigidity_end_mean_nm2": end["bending_rigidity"].mean(),
@@ -215,7 +215,7 @@ def estimate_metrics(outcome: Outcome) -> dict[str, float]:
         "tendon_force_rms_n": log.u.square().mean().sqrt(),
         "tendon_force_max_n": log.u.abs().max(),
     }
-    return {name: float(value) for name, value in found.items()}
+    return {name: float(value) for name, value in values.items()}
 
 
 def snapshots(log: DynamicLog, arms: Arms, row: int, count: int | None) -> Snapshots:
@@ -275,12 +275,12 @@ def run(config: SimulateSettings, folder: Path) -> dict[str, float]:
     started = time.perf_counter()
     name = _name(config)
     outcome = simulate(config, label=f"{config.experiment.name}, {name}")
-    found = metrics(outcome)
+    values = metrics(outcome)
     if config.figures:
         draw(outcome, folder / "figures", name)
-    found["wall_s"] = time.perf_counter() - started
-    RunFolder(folder).write(found, arrays(outcome), config.seed)
-    return found
+    values["wall_s"] = time.perf_counter() - started
+    RunFolder(folder).write(values, arrays(outcome), config.seed)
+    return values
 
 
 def _name(config: SimulateSettings) -> str:

@@ -132,7 +132,7 @@ def run(settings: IdentifySettings, folder: Path, say: Say) -> tuple[dict[str, f
 
     values = blocks.values(model.fit.z)
     length = 1e3 * float(settings.arm.rest_lengths().sum())
-    found = intervals(blocks, model.fit)
+    answer = intervals(blocks, model.fit)
     unknown = unknown_directions(blocks, model.fit)
     information = torch.linalg.eigvalsh(model.fit.information)
     metrics = _metrics(series, parts, predictions, length)
@@ -151,13 +151,13 @@ def run(settings: IdentifySettings, folder: Path, say: Say) -> tuple[dict[str, f
         "wall_s": time.perf_counter() - started,
     }
     name = settings.arm.name
-    text = report_text(name, metrics, list(predictions), found, unknown)
+    text = report_text(name, metrics, list(predictions), answer, unknown)
     write_atomically(folder / "table.txt", text + "\n")
-    write_json(folder / "parameters.json", {"parameters": [_plain(entry, spread) for entry in found]})
+    write_json(folder / "parameters.json", {"parameters": [_plain(entry, spread) for entry in answer]})
     origin = f"{name}, from {settings.data} by python -m apcc_torch.identify; parameters.json has the intervals."
     identified_arm(settings.arm, values).save(folder / "arm.yaml", f"{origin}\n{account(blocks)}")
     if settings.figures:
-        outcome = Outcome(series.positions, predictions, parts.validation, arm.rest(drive, values), found)
+        outcome = Outcome(series.positions, predictions, parts.validation, arm.rest(drive, values), answer)
         save_figures(identification_figures(outcome, length, name), folder / "figures")
     held = torch.zeros(len(series), dtype=torch.bool).index_fill(0, parts.validation, True)
     arrays = {"time": series.times, "inputs": series.inputs, "measured": series.positions, "held_back": held}
@@ -171,16 +171,16 @@ def _plain(entry: Interval, disagreed: float) -> dict[str, object]:
 
 def _metrics(series: Series, parts: Split, predictions: dict[str, Tensor], length: float) -> dict[str, float]:
     """Errors of every model: of the tip on what was held back and on what was not, and of the other bodies."""
-    found: dict[str, float] = {}
+    answer: dict[str, float] = {}
     for name, prediction in predictions.items():
         known = prediction.isfinite().flatten(1).all(-1)
         held, given = (index[known[index]] for index in (parts.validation, parts.training))
         tip = error(series.positions[held, -1], prediction[held, -1])
-        found |= {
+        answer |= {
             f"{name}_tip_rmse_mm": tip,
             f"{name}_tip_rmse_percent": 100.0 * tip / length,
             f"{name}_training_tip_rmse_mm": error(series.positions[given, -1], prediction[given, -1]),
         }
         for k in range(series.positions.shape[1] - 1):
-            found[f"{name}_body_{k + 1}_rmse_mm"] = error(series.positions[held, k], prediction[held, k])
-    return found
+            answer[f"{name}_body_{k + 1}_rmse_mm"] = error(series.positions[held, k], prediction[held, k])
+    return answer

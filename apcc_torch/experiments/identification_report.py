@@ -22,7 +22,7 @@ def report_text(
     name: str,
     metrics: Mapping[str, float],
     models: Sequence[str],
-    found: Sequence[Interval],
+    result: Sequence[Interval],
     unknown: Sequence[Direction],
 ) -> str:
     """The models beside each other, the parameters, and what the recording cannot tell."""
@@ -47,7 +47,7 @@ def report_text(
     lines += [
         f"{p.name:<34} {p.nominal:>11.5g} {p.value:>11.5g} {p.low:>11.5g} {p.high:>11.5g} {p.unit:<7} "
         f"{100 * p.learned:>5.0f} %"
-        for p in found
+        for p in result
     ]
     lines += ["", f"{len(unknown)} combinations are known no better than before the fit; the least known:"]
     for direction in unknown[:6]:

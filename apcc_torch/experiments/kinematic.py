@@ -120,12 +120,12 @@ def metrics(outcome: Outcome) -> dict[str, float]:
     log, pi, controller = outcome
     with torch.inference_mode():
         first = KinematicLog(*(field if field.dim() == 1 else field[:, :1] for field in log))
-        found = kinematic_metrics(first, controller.backbone, pi)
+        values = kinematic_metrics(first, controller.backbone, pi)
         if log.q_bar.shape[1] == 1:
-            return found
+            return values
         every = kinematic_metrics(log, controller.backbone, pi)
-    found |= {f"all_rows_{name}": value for name, value in every.items() if "pi_hat" not in name}
-    return found | {"rows": every["rows"], "diverged_rows": every["diverged_rows"]}
+    values |= {f"all_rows_{name}": value for name, value in every.items() if "pi_hat" not in name}
+    return values | {"rows": every["rows"], "diverged_rows": every["diverged_rows"]}
 
 
 def draw(outcome: Outcome, folder: Path) -> None:
@@ -181,12 +181,12 @@ def run(config: SimulateSettings, folder: Path) -> dict[str, float]:
     """
     started = time.perf_counter()
     outcome = simulate(config)
-    found = metrics(outcome)
+    values = metrics(outcome)
     if config.figures:
         draw(outcome, folder / "figures")
-    found["wall_s"] = time.perf_counter() - started
-    RunFolder(folder).write(found, arrays(outcome), config.seed)
-    return found
+    values["wall_s"] = time.perf_counter() - started
+    RunFolder(folder).write(values, arrays(outcome), config.seed)
+    return values
 
 
 def _starts(config: SimulateSettings, build: Builder) -> Tensor:

@@ -9,7 +9,8 @@ import numpy as np
 
 from apcc_torch.errors import SafetyError, ValueRangeError
 from apcc_torch.hardware.interfaces import Array
-from apcc_torch.settings import OURS, Numbers, Settings, names, resolved, setting, spread
+from apcc_torch.settings import OURS, Settings, names, resolved, setting
+from apcc_torch.spread import Numbers, spread
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -16,7 +16,8 @@ from apcc_torch.errors import ConfigError, ValueRangeError
 from apcc_torch.hardware.control import Control, Decision, Step
 from apcc_torch.hardware.interfaces import Array
 from apcc_torch.hardware.sensing import GatedFrame
-from apcc_torch.settings import OURS, PAPER, Settings, resolved, setting, spread
+from apcc_torch.settings import OURS, PAPER, Settings, resolved, setting
+from apcc_torch.spread import spread
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -16,7 +16,8 @@ from apcc_torch.model.abscissae import decouple
 from apcc_torch.model.arm import BASES, Arm, vector
 from apcc_torch.model.arm_placement import Placement
 from apcc_torch.model.table import Table, table
-from apcc_torch.settings import OURS, Numbers, Settings, setting, spread
+from apcc_torch.settings import OURS, Settings, setting
+from apcc_torch.spread import Numbers, spread
 
 KEYS = {
     "rest_length": "lengths",

@@ -45,28 +45,28 @@ def intervals(parameters: Parameters, fit: Fit) -> list[Interval]:
     """Every fitted parameter with its 95 % interval; those of positive parameters are never negative."""
     deviation = fit.covariance.diagonal().clamp(min=0.0).sqrt()
     ends = [parameters.values(fit.z + side * NORMAL_95 * deviation) for side in (0.0, -1.0, 1.0)]
-    found, index = [], 0
+    rows, index = [], 0
     for name, block in parameters.blocks.items():
         for i, label in enumerate(block.labels):
             if block.spread[i] == 0:
                 continue
             value, low, high = (float(end[name][i]) for end in ends)
             learned = 1.0 - float(deviation[index]) ** 2
-            found.append(Interval(f"{name}: {label}", block.unit, float(block.nominal[i]), value, low, high, learned))
+            rows.append(Interval(f"{name}: {label}", block.unit, float(block.nominal[i]), value, low, high, learned))
             index += 1
-    return found
+    return rows
 
 
 def unknown_directions(parameters: Parameters, fit: Fit, parts: int = 4) -> list[Direction]:
     """Combinations that are known no better after the fit than before it, the least known first."""
     information, vectors = torch.linalg.eigh(fit.information)
     names = parameters.names
-    found = []
+    rows = []
     for k in (information < 1.0).nonzero()[:, 0].tolist():
         largest = vectors[:, k].abs().argsort(descending=True)[:parts].tolist()
         weights = tuple((names[i], float(vectors[i, k])) for i in largest)
-        found.append(Direction(max(float(information[k]), 0.0), weights))
-    return found
+        rows.append(Direction(max(float(information[k]), 0.0), weights))
+    return rows
 
 
 def disagreement(first: Fit, second: Fit) -> float:

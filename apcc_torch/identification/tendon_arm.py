@@ -21,7 +21,7 @@ from apcc_torch.model.arm import Arm
 from apcc_torch.model.backbone import PCCBackbone
 from apcc_torch.model.friction import tension_share
 from apcc_torch.model.tendons import full_rows
-from apcc_torch.settings import spread
+from apcc_torch.spread import spread
 
 _CORNER = 1e-5
 """Width of the rounding where a tendon goes slack, m: a tenth of what is read off a servo."""

@@ -26,7 +26,8 @@ from apcc_torch.model.table import Table, table
 from apcc_torch.model.tendons import TendonRouting, rack_routing
 from apcc_torch.modes import holds
 from apcc_torch.reading import deviations, read
-from apcc_torch.settings import OURS, PAPER, Numbers, Setting, Settings, aligned, did_you_mean, setting, spread
+from apcc_torch.settings import OURS, PAPER, Setting, Settings, aligned, did_you_mean, setting
+from apcc_torch.spread import Numbers, spread
 
 STANDING = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 BASES = {"hanging": HANGING, "standing": STANDING}

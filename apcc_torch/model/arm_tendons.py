@@ -9,7 +9,8 @@ from torch import Tensor
 
 from apcc_torch.errors import ConfigError
 from apcc_torch.model.tendons import TendonRouting
-from apcc_torch.settings import OURS, Numbers, Settings, setting, spread
+from apcc_torch.settings import OURS, Settings, setting
+from apcc_torch.spread import Numbers, spread
 
 
 @dataclass(frozen=True, kw_only=True)

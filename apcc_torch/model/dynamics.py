@@ -15,16 +15,9 @@ from torch import Tensor, nn
 
 from apcc_torch.errors import ValueRangeError
 from apcc_torch.model.composite_inertia import Composite, assembled, composite, solved
-from apcc_torch.model.inertia import (
-    ArmShape,
-    Bending,
-    arm_shape,
-    bending,
-    moments,
-    own_momentum,
-    quadrature_nodes,
-)
+from apcc_torch.model.inertia import ArmShape, Bending, arm_shape, bending, mass_points, moments, own_momentum
 from apcc_torch.model.loads import Loads, Payload, carried_wrench, distributed_load, front
+from apcc_torch.model.stiffness import section_diagonal
 from apcc_torch.model.velocity_accelerations import accelerations, generalized_force, rates
 from apcc_torch.modes import holds
 from apcc_torch.part import Part, hold_rows
@@ -102,16 +95,14 @@ class SoftArmDynamics(Part):
     ) -> None:
         super().__init__()
         check_positive("lengths", check_tensor("lengths", lengths, (None,)))
-        n_b = lengths.shape[-1]
-        dtype, device = lengths.dtype, lengths.device
+        n_b, dtype, device = lengths.shape[-1], lengths.dtype, lengths.device
         given = {"masses": masses, "axial_stiffness": axial_stiffness, "bending_stiffness": bending_stiffness}
         for name, value in given.items():
             check_positive(name, check_tensor(name, value, (n_b,)))
         check_same(lengths=lengths, **given)
         if n_quadrature < 2:
             raise ValueRangeError(f"n_quadrature must be at least 2, got {n_quadrature}")
-        if base_rotation is None:
-            base_rotation = torch.eye(3, dtype=dtype, device=device)
+        base_rotation = torch.eye(3, dtype=dtype, device=device) if base_rotation is None else base_rotation
         check_finite("base_rotation", check_tensor("base_rotation", base_rotation, (3, 3)))
         ratio, acceleration = (
             value if isinstance(value, nn.Parameter) else torch.as_tensor(value, dtype=dtype, device=device)
@@ -135,28 +126,23 @@ class SoftArmDynamics(Part):
     def derive(self) -> None:
         """The mass points of a section, where the tip is among them, and which sections lie before each."""
         like, n_b = self.lengths.detach(), self.n_sections
-        points, weights = quadrature_nodes(self.n_quadrature, torch.float64)
+        powers, weights = mass_points(self.n_quadrature, like)
         tip = like.new_zeros(self.n_quadrature + 1, n_b)
         tip[-1, -1] = 1.0
-        self.register_buffer("powers", torch.stack([points**k for k in range(1, 7)]).to(like), persistent=False)
-        self.register_buffer("weights", weights.to(like), persistent=False)
-        self.register_buffer("tip", tip, persistent=False)
-        self.register_buffer("before", like.new_ones(n_b, n_b).tril(-1), persistent=False)
+        before = like.new_ones(n_b, n_b).tril(-1)
+        for name, value in {"powers": powers, "weights": weights, "tip": tip, "before": before}.items():
+            self.register_buffer(name, value, persistent=False)
 
     @property
     def stiffness_diagonal(self) -> Tensor:
         """The diagonal (..., n) of K, N m/rad, N m/rad, N/m a section."""
-        bending, axial = self.bending_stiffness, self.axial_stiffness
-        if bending.shape != axial.shape:
-            bending, axial = torch.broadcast_tensors(bending, axial)
-        return torch.stack((bending, bending, axial), dim=-1).flatten(-2)
+        return section_diagonal(self.bending_stiffness, self.axial_stiffness)
 
     @property
     def damping_diagonal(self) -> Tensor:
         """The diagonal (..., n) of D, N m s/rad, N m s/rad, N s/m a section."""
-        if self.own_damping is not None:
-            return self.own_damping
-        return self.damping_ratio.unsqueeze(-1) * self.stiffness_diagonal
+        own = self.own_damping
+        return self.damping_ratio.unsqueeze(-1) * self.stiffness_diagonal if own is None else own
 
     @property
     def stiffness(self) -> Tensor:
@@ -182,12 +168,7 @@ class SoftArmDynamics(Part):
         return assembled(composite(bend, shape, sums, self.before))
 
     def gravity(self, q: Tensor, payload: Payload = None) -> Tensor:
-        """G(q) = dU_gravity/dq (..., n), Eq. (38) [Dalenberg].
-
-        Args:
-            q: (..., 3 n_b) rad, rad, m.
-            payload: (...) point mass at the tip, kg.
-        """
+        """G(q) = dU_gravity/dq (..., n), Eq. (38) [Dalenberg]; arguments as for `inertia`."""
         return self.static_load(q, payload)
 
     def static_load(

@@ -16,7 +16,7 @@ from torch import Tensor
 
 from apcc_torch.errors import ValueRangeError
 from apcc_torch.model.composite_inertia import assembled, composite
-from apcc_torch.model.inertia import arm_shape, bending, moments, own_momentum, quadrature_nodes
+from apcc_torch.model.inertia import arm_shape, bending, mass_points, moments, own_momentum
 from apcc_torch.model.loads import front
 from apcc_torch.model.tendons import TendonRouting
 from apcc_torch.model.velocity_accelerations import accelerations, generalized_force, rates
@@ -82,13 +82,12 @@ class DynamicsRegressor(Part):
 
     def derive(self) -> None:
         """The mass points of a section."""
-        points, weights = quadrature_nodes(self.n_quadrature, torch.float64)
+        powers, weights = mass_points(self.n_quadrature, self.base_rotation.detach())
         # The last of the points is the section's tip, which has no weight of its own.
-        tip = torch.zeros_like(points)
+        tip = torch.zeros_like(weights)
         tip[-1] = 1.0
-        powers = torch.stack([points**k for k in range(1, 7)])
         for name, value in {"powers": powers, "weights": weights, "tip": tip}.items():
-            self.register_buffer(name, value.to(self.base_rotation.detach()), persistent=False)
+            self.register_buffer(name, value, persistent=False)
 
     def forward(
         self, q: Tensor, qdot: Tensor, v: Tensor, a: Tensor, L0: Tensor, q_elastic: Tensor | None = None

@@ -92,6 +92,12 @@ def quadrature_nodes(n: int, dtype: torch.dtype) -> tuple[Tensor, Tensor]:
     return nodes.to(dtype), weights.to(dtype)
 
 
+def mass_points(n: int, like: Tensor) -> tuple[Tensor, Tensor]:
+    """Powers s, s^2, ..., s^6 (6, n + 1) of `quadrature_nodes`, and their weights (n + 1,), of the kind of `like`."""
+    nodes, weights = quadrature_nodes(n, torch.float64)
+    return torch.stack([nodes**k for k in range(1, 7)]).to(like), weights.to(like)
+
+
 def bending(q: Tensor, lengths: Tensor, powers: Tensor) -> Bending:
     """Radial functions of every point; see `Bending`.
 

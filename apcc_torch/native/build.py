@@ -36,9 +36,9 @@ def compiler() -> str:
     """
     named = os.environ.get("CXX")
     for candidate in (named,) if named else ("g++", "clang++"):
-        found = shutil.which(candidate)
-        if found:
-            return found
+        outcome = shutil.which(candidate)
+        if outcome:
+            return outcome
     raise CompileError(f"no C++ compiler: {named or 'neither g++ nor clang++'} is on the path; install g++ or set CXX")
 
 

@@ -28,7 +28,7 @@ def reduced(fold: Callable[[Arithmetic, list[int]], int], empty: float | None = 
         rank = entries.dim()
         dims = _dimensions(dim, rank)
         kept = [d for d in range(rank) if d not in dims]
-        lists = entries.permute(*kept, *dims).reshape(*[entries.shape[d] for d in kept], -1)
+        lists = entries.permute([*kept, *dims]).reshape(*[entries.shape[d] for d in kept], -1)
         if lists.shape[-1] == 0:
             assert empty is not None
             flat = [a.scalars.constant(empty, kind_of(dtype))] * lists[..., 0:1].sum(-1).numel()
@@ -83,8 +83,8 @@ def argmax(op: str) -> Operator:
                 best, place = make("select", better, entry, best), make("select", better, constant(i, INT), place)
             return place
 
-        found = reduced(first)(a, x.dtype, x, dim, keepdim)
-        return Value(found.entries, dtype)
+        result = reduced(first)(a, x.dtype, x, dim, keepdim)
+        return Value(result.entries, dtype)
 
     return run
 

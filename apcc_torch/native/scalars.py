@@ -100,8 +100,8 @@ class Scalars:
 
     def known(self, index: int) -> Constant | None:
         """The value of a constant, None of anything else."""
-        found = self.expressions[index]
-        return found.value if found.op == "constant" else None
+        result = self.expressions[index]
+        return result.value if result.op == "constant" else None
 
     def make(self, op: str, *operands: int) -> int:
         """The expression `op` of the operands, simplified."""

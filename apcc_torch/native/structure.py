@@ -17,17 +17,17 @@ def flattened(item: Any) -> list[Tensor]:
     Raises:
         CompileError: There is something else than tensors, tuples and None.
     """
-    found: list[Tensor] = []
-    _flatten(item, found)
-    return found
+    result: list[Tensor] = []
+    _flatten(item, result)
+    return result
 
 
-def _flatten(item: Any, found: list[Tensor]) -> None:
+def _flatten(item: Any, result: list[Tensor]) -> None:
     if isinstance(item, Tensor):
-        found.append(item)
+        result.append(item)
     elif isinstance(item, tuple):
         for part in item:
-            _flatten(part, found)
+            _flatten(part, result)
     elif item is not None:
         raise CompileError(f"a compiled function takes and returns tensors in tuples, not a {type(item).__name__}")
 

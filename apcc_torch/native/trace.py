@@ -155,9 +155,9 @@ class _Writer:
         return item
 
     def _trace(self, returned: Any) -> Trace:
-        found = [value for value in returned if isinstance(value, Value)]
-        outputs = [Leaf(tuple(value.entries.shape), value.dtype) for value in found]
-        results = [value.entries.flatten().tolist() for value in found]
+        outcome = [value for value in returned if isinstance(value, Value)]
+        outputs = [Leaf(tuple(value.entries.shape), value.dtype) for value in outcome]
+        results = [value.entries.flatten().tolist() for value in outcome]
         return Trace(self.arithmetic.scalars, self.inputs, outputs, results)
 
 

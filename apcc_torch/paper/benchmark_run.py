@@ -56,7 +56,7 @@ def on_grid(config: SimulateSettings, grid: GridSettings, adaptive: bool) -> Sim
     cut = replace(
         e,
         setpoints=e.setpoints[: grid.setpoints],
-        payloads=e.payloads if grid.payloads is None else tuple(grid.payloads),
+        payloads=e.payloads if grid.payloads is None else grid.payloads,
         duration=e.duration if grid.duration is None else grid.duration,
     )
     return replace(config, experiment=cut, controller=replace(config.controller, adaptive=adaptive))
@@ -68,8 +68,9 @@ def check_pair(run: str, pair: Pair) -> None:
     for key in ("setpoints", "payloads", "duration"):
         if getattr(one, key) != getattr(other, key):
             raise ConfigError(f"both controllers of {run} must have the same experiment.{key}")
-    if pair.standard.plant != pair.adaptive.plant:
-        raise ConfigError(f"both controllers of {run} must drive the same plant")
+    for key in ("arm", "plant"):
+        if getattr(pair.standard, key) != getattr(pair.adaptive, key):
+            raise ConfigError(f"both controllers of {run} must have the same {key}")
 
 
 def simulate_all(pairs: Pairs, folder: Path, progress: bool, workers: int = 1) -> dict[str, Outcomes]:
@@ -97,9 +98,9 @@ def simulate_all(pairs: Pairs, folder: Path, progress: bool, workers: int = 1) -
     found_all = _outcomes(tasks, workers)
     for index in progress_bar("benchmark, grids", progress)(range(len(jobs))):
         comparison, run, name = jobs[index]
-        found = next(found_all)
-        write_arrays(folder / "data" / f"{comparison}_{run}_{name}.npz", found.log._asdict())
-        whole[comparison][run][name] = found
+        outcome_of = next(found_all)
+        write_arrays(folder / "data" / f"{comparison}_{run}_{name}.npz", outcome_of.log._asdict())
+        whole[comparison][run][name] = outcome_of
     results: dict[str, Outcomes] = {}
     for comparison, runs in whole.items():
         extra: dict[str, dict[str, Outcome]] = {}
@@ -132,8 +133,6 @@ def run(config: BenchmarkSettings, pairs: Pairs, folder: Path) -> str:
         ConfigError, ValueRangeError: A setting has no meaning.
     """
     started = time.perf_counter()
-    if config.workers < 1:
-        raise ConfigError(f"workers must be at least 1, got {config.workers}")
     if not any(pairs.values()):
         raise ConfigError("grid.comparisons must name at least one run")
     for runs in pairs.values():

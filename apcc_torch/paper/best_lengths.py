@@ -113,9 +113,9 @@ def patient_feedback(build: Builder) -> StateFeedback:
 
 def _inferred(feedback: StateFeedback, q: Tensor, pi: Tensor, T: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """q_bar and the sensors' linear and angular errors under rest lengths pi, (n_b,) or as many as of q."""
-    found = feedback(q, pi.expand(*q.shape[:-1], pi.shape[-1]), T)
-    angular = orientation_error(feedback.backbone, found.q_bar, pi, feedback.abscissae, T[..., :3, :3])
-    return found.q_bar, found.linear_error, angular
+    estimate = feedback(q, pi.expand(*q.shape[:-1], pi.shape[-1]), T)
+    angular = orientation_error(feedback.backbone, estimate.q_bar, pi, feedback.abscissae, T[..., :3, :3])
+    return estimate.q_bar, estimate.linear_error, angular
 
 
 def limits(config: SimulateSettings, log: DynamicLog, arms: Arms) -> Limits:
@@ -133,13 +133,13 @@ def limits(config: SimulateSettings, log: DynamicLog, arms: Arms) -> Limits:
         true = arms.true.points(few.q_true, arms.true_lengths, POINTS)
         T = arms.true.pose(few.q_true, arms.true_lengths, *decouple(arms.sensors, arms.true_lengths))
         shape = best_fit(arms.model, true, few.q_bar, few.pi_hat).error
-        found: list[tuple[Tensor, ...]] = []
+        estimate: list[tuple[Tensor, ...]] = []
         # The lengths that the controller had at these instants are among them: it is never below its own limit.
         for pi in (few.pi_hat, *length_grid(config, build)):
             q, linear, angular = _inferred(feedback, few.q_bar, pi, T)
             error = backbone_error(arms.true, few.q_true, arms.true_lengths, arms.model, q, pi, POINTS)
-            found.append((error, elongation_cost(q), linear, angular))
-        errors, psi, linear, angular = (torch.stack(column) for column in zip(*found, strict=True))
+            estimate.append((error, elongation_cost(q), linear, angular))
+        errors, psi, linear, angular = (torch.stack(column) for column in zip(*estimate, strict=True))
         front = []
         for price in PRICES:
             best = (errors + price * psi).argmin(0, keepdim=True)

@@ -56,15 +56,15 @@ NUMBERED: Mapping[int, tuple[str, Draw, str]] = {
 
 def trade_offs(outcomes: Outcomes) -> dict[str, TradeOff]:
     """Title -> trade-off of every whole grid."""
-    found: dict[str, TradeOff] = {}
+    shown: dict[str, TradeOff] = {}
     for run, both in outcomes.items():
         if run.endswith((HELD_OUT, SINGLE)):
             continue
         fronts = {name: o.limits.trade_off() for name, o in both.items()}
         limits = both["standard"].limits
         reached = {name: (o.metrics["shape_error_mean_mm"], o.metrics["psi_mean_cm"]) for name, o in both.items()}
-        found[run.replace("_", " ")] = TradeOff(fronts, 1e3 * limits.mean(limits.shape), reached)
-    return found
+        shown[run.replace("_", " ")] = TradeOff(fronts, 1e3 * limits.mean(limits.shape), reached)
+    return shown
 
 
 def save_paper_figures(outcomes: Outcomes, folder: Path) -> list[Path]:

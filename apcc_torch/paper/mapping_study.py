@@ -67,7 +67,7 @@ def curves(record: RobotLog) -> Run:
         torch.tensor(steps[name]) for name in ("time", "e", "q_bar", "q_d", "pi_hat", "angular_error", "linear_error")
     )
     backbone = build.backbone().double()
-    found = RunCurves(
+    records = RunCurves(
         time,
         torch.full_like(time, torch.nan).unsqueeze(-1),
         torch.linalg.vector_norm(q_bar[:, backbone.coordinates.elongations], dim=-1, keepdim=True),
@@ -80,7 +80,7 @@ def curves(record: RobotLog) -> Run:
     curve = SensorCurve(build.base_rotation(), build.sensors_at(), samples=20)(T[-1])
     goal = torch.tensor(record.topic("/target")["x_d"][-1])
     last = Overlay(curve, T[-1, :, :3, 3], backbone.points(q_bar[-1], pi_hat[-1], 100), goal)
-    return Run(found, last, config.guards.arrival_error or 1e-3)
+    return Run(records, last, config.guards.arrival_error or 1e-3)
 
 
 def numbers(run: Run) -> dict[str, float]:
@@ -121,17 +121,17 @@ def study(folder: Path, runs: Sequence[str], figures: bool) -> dict[str, float]:
     Returns:
         Every number of every run, flat.
     """
-    found: dict[tuple[str, str], dict[str, Run]] = {}
+    records: dict[tuple[str, str], dict[str, Run]] = {}
     table: dict[str, dict[str, float]] = {}
     for name in runs:
         layout, run, controller = split(name)
         record = curves(read_log(folder / name / LOG))
-        found.setdefault((layout, run), {})[controller] = record
+        records.setdefault((layout, run), {})[controller] = record
         table[name] = numbers(record)
     write_json(folder / "table.json", table)
     write_atomically(folder / "table.txt", text(table))
     if figures:
-        for (layout, run), members in found.items():
+        for (layout, run), members in records.items():
             save_figures(_drawn(run, members), folder / "figures" / layout)
     return {f"{name}_{key}": value for name, row in table.items() for key, value in row.items()}
 

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from apcc_torch.composition.run_settings import SimulateSettings
 from apcc_torch.experiments.dynamic import Arms, curves, dynamic_metrics, simulate, thinned
+from apcc_torch.model.arm import Lengths
 from apcc_torch.paper.best_lengths import Limits, limits
 from apcc_torch.report.dynamic import RunCurves
 from apcc_torch.simulation.dynamic import DynamicLog
@@ -67,8 +68,8 @@ def outcome(config: SimulateSettings, adaptive: bool, label: str) -> Outcome:
     thin = thinned(log)
     c = curves(thin, arms)
     metrics = grid_metrics(c, thin.diverged_at)
-    found = limits(config, thin, arms)
-    return Outcome(thin, arms, c, metrics | {"wall_s": time.perf_counter() - started}, found)
+    best = limits(config, thin, arms)
+    return Outcome(thin, arms, c, metrics | {"wall_s": time.perf_counter() - started}, best)
 
 
 def held_out_rows(setpoints: int, payloads: int) -> list[int]:
@@ -76,9 +77,9 @@ def held_out_rows(setpoints: int, payloads: int) -> list[int]:
     return [s * payloads + p for s in range(1, setpoints, 2) for p in range(payloads)]
 
 
-def single_row(payloads: Sequence[float]) -> int:
+def single_row(payloads: Lengths) -> int:
     """Row of the first set-point, the one the paper names, with the largest payload."""
-    return max(range(len(payloads)), key=lambda p: payloads[p])
+    return max(range(len(payloads)), key=lambda p: float(payloads[p]))
 
 
 def parts(run: str, both: Mapping[str, Outcome], config: SimulateSettings) -> dict[str, dict[str, Outcome]]:
@@ -91,7 +92,7 @@ def parts(run: str, both: Mapping[str, Outcome], config: SimulateSettings) -> di
     """
     e = config.experiment
     held_out = held_out_rows(len(e.setpoints or ()), len(e.payloads))
-    found = {run + SINGLE: {name: o.rows([single_row(list(e.payloads))]) for name, o in both.items()}}
+    best = {run + SINGLE: {name: o.rows([single_row(e.payloads)]) for name, o in both.items()}}
     if held_out:
-        found[run + HELD_OUT] = {name: o.rows(held_out) for name, o in both.items()}
-    return found
+        best[run + HELD_OUT] = {name: o.rows(held_out) for name, o in both.items()}
+    return best

@@ -60,7 +60,7 @@ def estimate(config: RealtimeSettings, seen: Motion) -> Estimates:
         raise DataError("ramp.estimate must be given in each run of experiment I")
     cases = {"non-decoupled": config.arm.lengths, "decoupled": config.ramp.estimate}
     pi_hat = torch.tensor(list(cases.values()), dtype=torch.float64)
-    found: Estimates = {}
+    outcome: Estimates = {}
     for mode in MODES:
         feedback = config.feedback.changed(mode=mode)
         build = Builder(config.changed(feedback=feedback, dtype="float64"))
@@ -77,8 +77,8 @@ def estimate(config: RealtimeSettings, seen: Motion) -> Estimates:
         angular = torch.stack([result.angular_error for result in results])
         linear = torch.stack([result.linear_error for result in results])
         for i, case in enumerate(cases):
-            found[case, mode] = Estimate(seen.time, points[:, i], seen.T[..., :3, 3], angular[:, i], linear[:, i])
-    return found
+            outcome[case, mode] = Estimate(seen.time, points[:, i], seen.T[..., :3, 3], angular[:, i], linear[:, i])
+    return outcome
 
 
 def study(folder: Path, runs: Sequence[str], figures: bool) -> dict[str, float]:
@@ -92,12 +92,12 @@ def study(folder: Path, runs: Sequence[str], figures: bool) -> dict[str, float]:
     Returns:
         Means over the runs, SI units in the names.
     """
-    found: dict[str, Estimates] = {}
+    outcome: dict[str, Estimates] = {}
     table: dict[str, object] = {}
     last: dict[str, tuple[Tensor, Tensor]] = {}
     for name in runs:
         config, seen = motion(folder / name)
-        found[name] = estimate(config, seen)
+        outcome[name] = estimate(config, seen)
         build = Builder(config)
         curve = SensorCurve(build.base_rotation(), build.sensors_at(), samples=20)
         last[name] = curve(seen.T[-1]), seen.T[-1, :, :3, 3]
@@ -105,21 +105,21 @@ def study(folder: Path, runs: Sequence[str], figures: bool) -> dict[str, float]:
             "goal_m": config.ramp.goal,
             "pi_m": config.arm.lengths,
             "pi_hat_m": config.ramp.estimate,
-            **{f"{case}, {mode}": numbers(e) for (case, mode), e in found[name].items()},
+            **{f"{case}, {mode}": numbers(e) for (case, mode), e in outcome[name].items()},
         }
     write_json(folder / "table.json", table)
-    write_atomically(folder / "table.txt", text(found))
+    write_atomically(folder / "table.txt", text(outcome))
     if figures:
         drawn = {
-            STROBOSCOPIC[name]: four_panel_figure(found[name], MOMENTS, name) for name in runs if name in STROBOSCOPIC
+            STROBOSCOPIC[name]: four_panel_figure(outcome[name], MOMENTS, name) for name in runs if name in STROBOSCOPIC
         }
         drawn["fig_25.png"] = final_figure({name: last[name] for name in runs if name in STROBOSCOPIC} or last)
-        drawn["fig_26.png"] = norm_figure(list(found.values()))
+        drawn["fig_26.png"] = norm_figure(list(outcome.values()))
         save_figures(drawn, folder / "figures")
-    keys = next(iter(found.values())).keys()
+    keys = next(iter(outcome.values())).keys()
     metrics: dict[str, float] = {}
     for case, mode in keys:
-        for name, value in _mean([numbers(e[case, mode]) for e in found.values()]).items():
+        for name, value in _mean([numbers(e[case, mode]) for e in outcome.values()]).items():
             metrics[f"{case.replace('-', '_')}_{mode}_{name}"] = value
     return metrics
 
@@ -138,11 +138,11 @@ def _mean(rows: Sequence[dict[str, float]]) -> dict[str, float]:
     return {name: sum(row[name] for row in rows) / len(rows) for name in rows[0]}
 
 
-def text(found: dict[str, Estimates]) -> str:
+def text(outcome: dict[str, Estimates]) -> str:
     """The table as text: sensor errors at the end of each run, mm and rad."""
-    keys = list(next(iter(found.values())))
+    keys = list(next(iter(outcome.values())))
     lines = [["run", *(f"{case}, {mode}" for case, mode in keys)]]
-    for name, estimates in found.items():
+    for name, estimates in outcome.items():
         ends = [numbers(estimates[key]) for key in keys]
         lines.append([name, *(f"{n['linear_end_mm']:.2f} mm {n['angular_end_rad']:.4f} rad" for n in ends)])
     widths = [max(len(line[i]) for line in lines) for i in range(len(lines[0]))]

@@ -147,10 +147,10 @@ def _load_columns(path: Path, rate: float) -> Recording:
 
 
 def _load_trunk(path: Path, rate: float) -> Recording:
-    found = sorted(path.glob("observations_*.csv")) if path.is_dir() else [path]
-    if len(found) != 1:
-        raise DataError(f"{path}: holds {len(found)} files observations_*.csv where one is wanted")
-    table = read_table(found[0])
+    result = sorted(path.glob("observations_*.csv")) if path.is_dir() else [path]
+    if len(result) != 1:
+        raise DataError(f"{path}: holds {len(result)} files observations_*.csv where one is wanted")
+    table = read_table(result[0])
     bodies = range(1, len(table.numbered("x")) + 1)
     if not bodies:
         raise table.fault("the column is missing", "x1")
@@ -161,13 +161,13 @@ def _load_trunk(path: Path, rate: float) -> Recording:
     everywhere = torch.ones(len(ids), dtype=torch.bool)
     poses = [_pose(table, [f"{part}{i}" for part in (*_POSE[:6], "w")], everywhere) for i in bodies]
     actuators, inputs, T = table.optional(table.numbered("phi")), None, len(ids)
-    sent = found[0].with_name(found[0].name.replace("observations_", "control_inputs_", 1))
-    if sent != found[0] and sent.is_file():
+    sent = result[0].with_name(result[0].name.replace("observations_", "control_inputs_", 1))
+    if sent != result[0] and sent.is_file():
         commands = read_table(sent)
         inputs = commands.finite(commands.numbered("u") or ["u1"])
         T = len(inputs)
         if len(ids) not in (T, T + 1):
-            raise commands.fault(f"holds {T} data lines where {found[0].name} holds {len(ids)}", "ID", T - 1)
+            raise commands.fault(f"holds {T} data lines where {result[0].name} holds {len(ids)}", "ID", T - 1)
     return Recording(
         tuple(f"disk{i}" for i in bodies),
         torch.arange(T, dtype=torch.float64) / rate,
@@ -176,7 +176,7 @@ def _load_trunk(path: Path, rate: float) -> Recording:
         torch.ones(T, len(bodies), dtype=torch.bool),
         inputs,
         actuators if actuators is None else actuators[:T],
-        source=str(found[0]),
+        source=str(result[0]),
     )
 
 
@@ -191,7 +191,7 @@ def detect_layout(path: str | Path) -> str:
         ('trunk', 'columns')
     """
     path = Path(path)
-    names = [path.name, *(found.name for found in path.glob("observations_*.csv"))]
+    names = [path.name, *(result.name for result in path.glob("observations_*.csv"))]
     return "trunk" if any(name.startswith("observations_") for name in names) else "columns"
 
 

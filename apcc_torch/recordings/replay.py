@@ -150,13 +150,15 @@ def replay(
         x_d = _target(recording.target, recording, calibration, backbone, frames, pi_hat)
         return _run(controller, q, pi_hat, gated, shown, oriented, x_d, progress)
     estimate = _sweep if parallel else _follow
-    found = estimate(feedback, q, pi_hat, gated.T, shown, oriented, progress)
+    result = estimate(feedback, q, pi_hat, gated.T, shown, oriented, progress)
     smooth = SavitzkyGolay(window=15, order=2) if velocity_filter is None else velocity_filter
-    qdot_bar = _derivative(smooth, found.q_bar, gated.time)
-    tip = backbone.tip(found.q_bar, pi_hat)
+    qdot_bar = _derivative(smooth, result.q_bar, gated.time)
+    tip = backbone.tip(result.q_bar, pi_hat)
     pi_hat = pi_hat.expand(len(tip), *pi_hat.shape)
     codes = (gated.verdict.position_reason, gated.verdict.orientation_reason)
-    return ReplayLog(gated.time, gated.T, found.q_bar, qdot_bar, pi_hat, *found[1:], *codes, tip, torch.zeros_like(tip))
+    return ReplayLog(
+        gated.time, gated.T, result.q_bar, qdot_bar, pi_hat, *result[1:], *codes, tip, torch.zeros_like(tip)
+    )
 
 
 def _follow(
@@ -165,9 +167,9 @@ def _follow(
     """Algorithm 2 frame by frame."""
     rows = []
     for i in progress(range(len(T))):
-        found = feedback(q, pi_hat, T[i], shown[i], oriented[i])
-        q = found.q_bar
-        rows.append(found)
+        result = feedback(q, pi_hat, T[i], shown[i], oriented[i])
+        q = result.q_bar
+        rows.append(result)
     return Feedback(*(torch.stack(column) for column in zip(*rows, strict=True)))
 
 
@@ -184,17 +186,17 @@ def _sweep(
     for start in progress(range(0, len(T), _BLOCK)):
         part = [values[start : start + _BLOCK] for values in (T, shown, oriented)]
         seed = q.expand(len(part[0]), *q.shape)
-        found: Feedback = feedback(seed, pi_hat, *part)
+        result: Feedback = feedback(seed, pi_hat, *part)
         for _ in range(_BLOCK):
-            wanted = torch.cat((q.unsqueeze(0), found.q_bar[:-1]))
+            wanted = torch.cat((q.unsqueeze(0), result.q_bar[:-1]))
             index = ((wanted - seed).abs().flatten(1).amax(-1) > feedback.settled_step).nonzero().squeeze(-1)
             if not len(index):
                 break
             anew = feedback(wanted[index], pi_hat, *(values[index] for values in part))
             seed = seed.index_copy(0, index, wanted[index])
-            found = Feedback(*(old.index_copy(0, index, new) for old, new in zip(found, anew, strict=True)))
-        q = found.q_bar[-1]
-        blocks.append(found)
+            result = Feedback(*(old.index_copy(0, index, new) for old, new in zip(result, anew, strict=True)))
+        q = result.q_bar[-1]
+        blocks.append(result)
     return Feedback(*(torch.cat(column) for column in zip(*blocks, strict=True)))
 
 

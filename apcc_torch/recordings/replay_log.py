@@ -125,33 +125,33 @@ def replay_metrics(
         raise ShapeError(f"log must have a single row, q_bar of shape (N, n), got {tuple(log.q_bar.shape)}")
     if len(names) != log.position_reason.shape[-1]:
         raise ShapeError(f"names must have {log.position_reason.shape[-1]} entries, got {len(names)}")
-    found: dict[str, float] = {"frames": len(log.time)}
+    metrics: dict[str, float] = {"frames": len(log.time)}
     for status in FeedbackStatus:
-        found[f"{status.name.lower()}_frames"] = int((log.status == int(status)).sum())
-    found["iterations_mean"] = float(log.iterations.to(torch.float64).mean())
+        metrics[f"{status.name.lower()}_frames"] = int((log.status == int(status)).sum())
+    metrics["iterations_mean"] = float(log.iterations.to(torch.float64).mean())
     errors = sensor_errors(log, feedback)
     for what, unit, factor, values in (("linear", "mm", 1e3, errors.linear), ("angular", "rad", 1.0, errors.angular)):
-        found[f"sensor_error_{what}_mean_{unit}"] = factor * _mean(values)
-        found[f"sensor_error_{what}_max_{unit}"] = factor * _max(values)
+        metrics[f"sensor_error_{what}_mean_{unit}"] = factor * _mean(values)
+        metrics[f"sensor_error_{what}_max_{unit}"] = factor * _max(values)
         for i, name in enumerate(names):
-            found[f"sensor_error_{what}_mean_{unit}_{name}"] = factor * _mean(values[:, i])
+            metrics[f"sensor_error_{what}_mean_{unit}_{name}"] = factor * _mean(values[:, i])
     for i, name in enumerate(names):
-        found[f"gated_position_frames_{name}"] = int((log.position_reason[:, i] != int(Reason.OK)).sum())
-        found[f"gated_orientation_frames_{name}"] = int((log.orientation_reason[:, i] != int(Reason.OK)).sum())
+        metrics[f"gated_position_frames_{name}"] = int((log.position_reason[:, i] != int(Reason.OK)).sum())
+        metrics[f"gated_orientation_frames_{name}"] = int((log.orientation_reason[:, i] != int(Reason.OK)).sum())
         for reason in list(Reason)[1:]:
             for what, codes in (("position", log.position_reason), ("orientation", log.orientation_reason)):
                 count = int((codes[:, i] == int(reason)).sum())
                 if count:
-                    found[f"gated_{what}_frames_{name}_{reason.name.lower()}"] = count
+                    metrics[f"gated_{what}_frames_{name}_{reason.name.lower()}"] = count
         if held_out is not None and i < held_out.linear.shape[-1]:
-            found[f"held_out_error_linear_mean_mm_{name}"] = 1e3 * _mean(held_out.linear[:, i])
-            found[f"held_out_error_angular_mean_rad_{name}"] = _mean(held_out.angular[:, i])
+            metrics[f"held_out_error_linear_mean_mm_{name}"] = 1e3 * _mean(held_out.linear[:, i])
+            metrics[f"held_out_error_angular_mean_rad_{name}"] = _mean(held_out.angular[:, i])
     coordinates = feedback.backbone.coordinates
-    found["elongation_max_mm"] = 1e3 * float(log.q_bar[:, coordinates.elongations].abs().max())
-    found["bend_max_rad"] = float(coordinates.bends(log.q_bar).norm(dim=-1).max())
+    metrics["elongation_max_mm"] = 1e3 * float(log.q_bar[:, coordinates.elongations].abs().max())
+    metrics["bend_max_rad"] = float(coordinates.bends(log.q_bar).norm(dim=-1).max())
     if bool(log.e.any()):
-        found["end_effector_error_mean_mm"] = 1e3 * _mean(log.e.norm(dim=-1))
-    return found
+        metrics["end_effector_error_mean_mm"] = 1e3 * _mean(log.e.norm(dim=-1))
+    return metrics
 
 
 def write_replay(folder: str | Path, log: ReplayLog) -> Path:

@@ -87,7 +87,7 @@ def illustrate_all(
     A run that cannot be illustrated is told on the terminal, and the others go on.
     """
     candidates = [(row, folder) for row in from_both_ends(order) if (folder := runs[row].folder) is not None]
-    found: dict[int, list[Picture]] = {}
+    shown_by_row: dict[int, list[Picture]] = {}
     room = PICTURE_BYTES
     bare = [row for row, folder in candidates if not any((folder / "figures").glob("*.png"))]
     chosen = [(row, folder) for row, folder in candidates if row not in bare[fresh:]]
@@ -100,8 +100,8 @@ def illustrate_all(
         room -= sum(len(picture.uri) for picture in shown)
         if room < 0:
             break
-        found[row] = shown
-    return found
+        shown_by_row[row] = shown
+    return shown_by_row
 
 
 def default_title(runs: Sequence[Run], table: RunTable) -> str:
@@ -122,7 +122,7 @@ def footer(runs: Sequence[Run]) -> str:
     for run in runs:
         for name, version in run.versions.items():
             known.setdefault(name, set()).add(str(version))
-    told = [f"{name} {found.pop()}" if len(found) == 1 else f"{name} differs" for name, found in known.items()]
+    told = [f"{name} {used.pop()}" if len(used) == 1 else f"{name} differs" for name, used in known.items()]
     return "Computed with " + ", ".join(told) + "." if told else ""
 
 
@@ -179,10 +179,10 @@ def report(given: argparse.Namespace) -> list[Path]:
     descending = given.descending or metric in HIGHER_IS_BETTER
     sys.stdout.write(summary(table, metric, given.top, descending, shutil.get_terminal_size((120, 24)).columns) + "\n")
     if not given.no_page:
-        found = illustrate_all(runs, ranked(table, metric, descending), given.figures, given.films, given.draw)
+        shown_by_row = illustrate_all(runs, ranked(table, metric, descending), given.figures, given.films, given.draw)
         folders = [row for row, run in enumerate(runs) if run.folder is not None and run.status == COMPLETE]
         title = given.title or default_title(runs, table)
-        page = Page(title, table, metric, descending, found, folders, footer(runs))
+        page = Page(title, table, metric, descending, shown_by_row, folders, footer(runs))
         written.append(write_atomically(out / "report.html", page.html()))
     return written
 

@@ -80,14 +80,14 @@ def collect(folders: Sequence[Path], watch: Watch | None = None) -> Collection:
         DataError: A folder is not there, or there is no run in any.
     """
     skipped: list[str] = []
-    found: dict[Path, None] = {}
+    result: dict[Path, None] = {}
     roots = [folder.resolve() for folder in folders]
     for folder, root in zip(folders, roots, strict=True):
         if not root.is_dir():
             raise DataError(f"RUNS must name folders of runs, but {folder} is not a folder")
-        found |= dict.fromkeys(run_folders(root, skipped))
+        result |= dict.fromkeys(run_folders(root, skipped))
     base = Path(os.path.commonpath(roots))
-    runs = [run for folder in (found if watch is None else watch(found)) for run in read_folder(folder, base)]
+    runs = [run for folder in (result if watch is None else watch(result)) for run in read_folder(folder, base)]
     if not runs:
         hint = f" ({skipped[0]})" if skipped else ""
         places = ", ".join(str(folder) for folder in folders)

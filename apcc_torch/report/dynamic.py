@@ -98,15 +98,15 @@ def draw_band(
     ax: Axes, time: Array, data: Array, color: str, label: str, dashes: Any = "-", width: float = 2.2
 ) -> Band:
     """Draws mean and band of runs (T, R); where runs were left out the label counts them."""
-    found = band(data)
-    if found.counted < found.total:
-        label += f" ({found.counted} of {found.total} runs)"
-    if found.counted > 1:
-        ax.fill_between(time, found.low, found.high, color=color, alpha=0.17, linewidth=0)
-        for edge in (found.low, found.high):
+    drawn = band(data)
+    if drawn.counted < drawn.total:
+        label += f" ({drawn.counted} of {drawn.total} runs)"
+    if drawn.counted > 1:
+        ax.fill_between(time, drawn.low, drawn.high, color=color, alpha=0.17, linewidth=0)
+        for edge in (drawn.low, drawn.high):
             ax.plot(time, edge, color=color, linewidth=0.7, alpha=0.55)
-    ax.plot(time, found.mean, color=color, linewidth=width, linestyle=dashes, label=label)
-    return found
+    ax.plot(time, drawn.mean, color=color, linewidth=width, linestyle=dashes, label=label)
+    return drawn
 
 
 def draw_curve(ax: Axes, runs: Runs, field: str, scale: float, unit: str) -> None:
@@ -219,8 +219,8 @@ def sensor_figure(runs: Runs, title: str = "", names: Sequence[str] | None = Non
             for index, (name, curves) in enumerate(runs.items()):
                 data = 1e2 * values(getattr(curves, field)[..., s])  # rad to crad, and m to cm
                 color = style.controller_color(name, index)
-                found = draw_band(ax, values(curves.time), data, color, name)
-                _number(ax, f"{style.digits(found.mean.mean())}", color, index)
+                drawn = draw_band(ax, values(curves.time), data, color, name)
+                _number(ax, f"{style.digits(drawn.mean.mean())}", color, index)
             style.dress(ax, TIME if row else "", label if s == 0 else "", "" if row else heads[s])
         top = max(ax.dataLim.y1 for ax in panels[row])
         panels[row, 0].set_ylim(0.0, 1.3 * top if top > 0 else 1.0)

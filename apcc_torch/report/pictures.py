@@ -88,6 +88,6 @@ def film(path: Path) -> Picture:
 
 def stored_film(folder: Path) -> Picture | None:
     """The film that a run left in its folder."""
-    found = [path for path in sorted((folder / "figures").glob("animation.*")) if path.suffix in FILMS]
+    films = [path for path in sorted((folder / "figures").glob("animation.*")) if path.suffix in FILMS]
     # An MP4 is the smaller file.
-    return film(max(found, key=lambda path: path.suffix == ".mp4")) if found else None
+    return film(max(films, key=lambda path: path.suffix == ".mp4")) if films else None

@@ -90,7 +90,7 @@ def norm_figure(runs: Sequence[Estimates], mode: str = "pose") -> Figure:
     panels = figure.subplots(2, 1, sharex=True)
     longest = max((run[key].time for run in runs for key in run if key[1] == mode), key=lambda time: float(time[-1]))
     grid = values(longest)
-    for dash, case in enumerate(dict.fromkeys(case for case, found in runs[0] if found == mode)):
+    for dash, case in enumerate(dict.fromkeys(case for case, way in runs[0] if way == mode)):
         for ax, field, scale in ((panels[0], "linear", 1e2), (panels[1], "angular", 1e2)):
             curves = np.stack([_on(grid, run[case, mode], field) for run in runs])
             mean = scale * np.nanmean(curves, axis=0)

@@ -32,15 +32,15 @@ class Running(NamedTuple):
 
 def running(folder: SweepFolder) -> list[Running]:
     """The jobs that have said how far they are."""
-    found = []
+    result = []
     for draft in folder.drafts():
         try:
             told = json.loads((draft / PROGRESS).read_text(encoding="utf-8"))
         except OSError:
             continue  # not begun, or just ended: the folder is another process's to move
         share = told["done"] / told["steps"] if told["steps"] else 0.0
-        found.append(Running(job_name(draft), told["label"], share))
-    return sorted(found, key=lambda job: (len(job.name), job.name))
+        result.append(Running(job_name(draft), told["label"], share))
+    return sorted(result, key=lambda job: (len(job.name), job.name))
 
 
 class SweepBars:

@@ -87,7 +87,7 @@ def run(config: SimulateSettings, points: Sequence[Point], folder: Path) -> dict
     write_atomically(folder / "points.csv", table(points, whole))
     write_json(folder / "versions.json", {**versions(), "seed": config.seed})
     diverged = sum(not is_finite(metrics, objective) for metrics in whole.metrics.values())
-    found = {
+    totals = {
         objective: whole.metrics[order[0]][objective],
         "best_point": order[0],
         "points": len(points),
@@ -95,9 +95,9 @@ def run(config: SimulateSettings, points: Sequence[Point], folder: Path) -> dict
         "diverged_points": diverged,
         "wall_s": time.perf_counter() - started,
     }
-    write_json(folder / METRICS, found)
+    write_json(folder / METRICS, totals)
     shutil.rmtree(parts, ignore_errors=True)
-    return found
+    return totals
 
 
 def _check(config: SimulateSettings, points: Sequence[Point]) -> None:

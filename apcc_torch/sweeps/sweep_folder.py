@@ -51,10 +51,10 @@ def job_name(draft: Path) -> str:
     Raises:
         ConfigError: The draft's own name does not say.
     """
-    found = DRAFT.fullmatch(draft.name)
-    if found is None:
+    folders = DRAFT.fullmatch(draft.name)
+    if folders is None:
         raise ConfigError(f"hydra.sweep.subdir must be .NAME.STAMP.draft with a number as STAMP, got {draft.name!r}")
-    return found["name"]
+    return folders["name"]
 
 
 def read_record(path: Path) -> dict[str, Any]:
@@ -94,11 +94,11 @@ class SweepFolder:
 
     def failures(self) -> list[Failure]:
         """The jobs that ended badly, in the order of their names."""
-        found = []
+        folders = []
         for folder in self.path.glob(f"*{FAILED}"):
             record = read_record(folder / FAILURE)
-            found.append(Failure(folder, [str(o) for o in record["overrides"]], str(record["why"])))
-        return sorted(found, key=lambda failure: (len(failure.folder.name), failure.folder.name))
+            folders.append(Failure(folder, [str(o) for o in record["overrides"]], str(record["why"])))
+        return sorted(folders, key=lambda failure: (len(failure.folder.name), failure.folder.name))
 
     def find(self, config: SimulateSettings, name: str) -> Path | None:
         """The finished folder of a run of this configuration.

@@ -172,6 +172,8 @@ def test_an_unknown_key_of_a_group_is_named_with_what_may_be_meant(key: str, mea
         ("progres=false", "progres is no setting; did you mean progress"),
         ("experimnt.duration=1", "experimnt is no setting; did you mean experiment"),
         ("sensor=mocap", "sensor is no setting; did you mean sensors"),
+        ("controller.gian=1", "controller.gian is no setting; it has K"),
+        ("integral.rech=1", "integral.rech is no setting; did you mean reach"),
     ],
 )
 def test_an_unknown_word_of_a_command_line_is_named_with_what_may_be_meant(word: str, said: str) -> None:
@@ -181,6 +183,7 @@ def test_an_unknown_word_of_a_command_line_is_named_with_what_may_be_meant(word:
 
 def test_other_words_are_hydras() -> None:
     check_words(["-m", "hydra.run.dir=x", "hydra/launcher=basic", "sweep=window", "state=exact"], SimulateSettings)
+    check_words(["plant.pid.K_P=1", "adaptation.what=1", "integral.gain=1", "seed=1"], SimulateSettings)
     check_words(["+more=1", "~sensors", "-cd", "own", "mine=1"], SimulateSettings)
 
 

@@ -10,6 +10,7 @@ import torch
 from apcc_torch.envs.dynamic import DynamicArm
 from apcc_torch.errors import ConfigError
 from apcc_torch.model.arm import Arm
+from apcc_torch.model.arm_placement import Placement
 from apcc_torch.model.backbone import PCCBackbone
 from arm_rows import IDS, actions, make, row_parameters
 
@@ -33,7 +34,7 @@ FIVE = Arm(
 
 def test_the_default_is_the_papers() -> None:
     arm = make().simulator.description
-    assert arm == Arm.load("arm_1") == Arm(lengths=(0.105, 0.255, 0.240))
+    assert arm == Arm.load("arm_1") == Arm(lengths=(0.105, 0.255, 0.240), name="arm_1")
 
 
 def test_one_plant_step_a_period_is_enough() -> None:
@@ -100,6 +101,29 @@ def test_sensors_stay_at_their_share_of_longer_sections(dynamics: str) -> None:
     )  # fmt: skip
     torch.testing.assert_close(observation[:, :12].double(), T[..., :3, 3].flatten(1), rtol=0.0, atol=1e-6)
     assert float((X[:, -1] - lengths.sum(-1)).abs().max()) < 1e-12
+
+
+def test_a_leaning_arm_starts_at_rest() -> None:
+    arm = Arm(lengths=[0.2, 0.25], mass=0.3, placement=Placement(gravity=(3.0, 0.0, -9.0)))
+    body = DynamicArm(arm, 0.01, False, LIKE)
+    payload, one = torch.tensor([0.0, 0.1], dtype=torch.float64), torch.ones(2, 2, dtype=torch.float64)
+    rows = row_parameters(2, payload=payload, lengths=one)
+    start = body.initial(rows)
+    later, y = start, torch.zeros(2, 6, dtype=torch.float64)
+    for _ in range(20):
+        later = body.step(later, y, y, y, rows)
+    assert float(start.arm.q[:, :2].abs().amax(-1).min()) > 0.01
+    torch.testing.assert_close(later.arm.q, start.arm.q, rtol=0.0, atol=1e-3)
+    assert float(later.arm.qdot.abs().max()) < 1e-2
+
+
+def test_what_differs_on_the_true_arm() -> None:
+    stiff = make(arm=TWO, dynamics="dynamic", plant={"arm": {"axial_stiffness": 1000.0}})
+    soft = make(arm=TWO, dynamics="dynamic")
+    depths = [envs.reset(seed=0)[0][0, 5] for envs in (stiff, soft)]
+    assert float(depths[1]) < float(depths[0]) < -0.45
+    with pytest.raises(ConfigError, match=r"plant\.arm must have as many sections"):
+        make(arm=TWO, dynamics="dynamic", plant={"arm": {"lengths": [0.2, 0.2, 0.2]}})
 
 
 def test_a_file_and_a_name(tmp_path: Path) -> None:

@@ -115,8 +115,8 @@ def test_settling_time_is_that_of_the_last_crossing() -> None:
     [
         ("experiment.setpoints=[[0,0]]", "experiment.setpoints"),
         ("experiment.payloads=[-1]", "experiment.payloads"),
-        ("plant.settle=-1", "settle"),
-        ("plant.K_D=-5", "K_D"),
+        ("plant.settle=-1", "plant.settle"),
+        ("plant.pid.K_D=-5", "plant.pid.K_D"),
         ("experiment.duration=0", "duration"),
     ],
 )

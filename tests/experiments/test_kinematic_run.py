@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import torch
 
-from apcc_torch.errors import ConfigError
+from apcc_torch.errors import ApccError
 from apcc_torch.experiments import kinematic
 from apcc_torch.model.backbone import PCCBackbone
 from apcc_torch.simulation.kinematic import KinematicLog
@@ -32,7 +32,7 @@ def run(folder: Path, *changes: str) -> dict[str, float]:
 
 @pytest.mark.parametrize("state", ["feedback", "exact"])
 def test_folder_holds_what_was_returned(tmp_path: Path, state: str) -> None:
-    metrics = run(tmp_path, f"state={state}", "robot.initial_estimate=[0.11,0.26,0.25]")
+    metrics = run(tmp_path, f"state={state}", f"experiment.first_estimate={[0.11 / 0.105, 0.26 / 0.255, 0.25 / 0.24]}")
     assert set(metrics) >= KEYS and all(math.isfinite(value) for value in metrics.values())
     assert json.loads((tmp_path / "metrics.json").read_text()) == metrics
     assert sorted(p.name for p in tmp_path.iterdir()) == ["metrics.json", "trajectory.npz", "versions.json"]
@@ -65,7 +65,7 @@ def test_the_same_seed_gives_the_same_numbers(tmp_path: Path) -> None:
 
 def test_perfect_knowledge_leaves_no_shape_error(tmp_path: Path) -> None:
     metrics = run(
-        tmp_path, "robot.initial_estimate=null", "controller.adaptive=false", "feedback.linear_threshold=1e-9"
+        tmp_path, "experiment.first_estimate=1.0", "controller.adaptive=false", "feedback.linear_threshold=1e-9"
     )
     assert metrics["shape_error_max_mm"] < 1e-3 and metrics["pi_error_end_max_mm"] == 0.0
 
@@ -104,6 +104,6 @@ def test_metrics_by_hand() -> None:
     ["state=guessed", "experiment.start_errors=-1", "experiment.start_error=1.5", "experiment.r_0=null"],
 )
 def test_a_setting_without_meaning_is_named_and_nothing_is_written(tmp_path: Path, change: str) -> None:
-    with pytest.raises(ConfigError, match=change.split("=")[0]):
+    with pytest.raises(ApccError, match=change.split("=")[0]):
         run(tmp_path, change)
     assert not list(tmp_path.iterdir())

@@ -5,17 +5,18 @@ from __future__ import annotations
 import json
 import math
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
-from apcc_torch.composition.schema import SimulateConfig
-from apcc_torch.errors import ConfigError
-from apcc_torch.experiments import run as module
+from apcc_torch.composition.run_settings import SimulateSettings
+from apcc_torch.errors import ApccError, ConfigError
+from apcc_torch.experiments.kinds import KINDS
 from apcc_torch.experiments.run import objective_in, objective_value, run, settings_of
 from composed import changed, raw
 
 
-def fake(config: SimulateConfig, folder: Path) -> dict[str, float]:
+def fake(config: SimulateSettings, folder: Path) -> dict[str, float]:
     """An experiment whose error grows with its gain and its length, and whose rows diverge at a gain of 9."""
     metrics = {
         "error_mm": float(config.controller.K) * config.experiment.duration,
@@ -30,10 +31,10 @@ def fake(config: SimulateConfig, folder: Path) -> dict[str, float]:
 
 @pytest.fixture(autouse=True)
 def _fake_experiment(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(module.EXPERIMENTS, "kinematic", fake)
+    monkeypatch.setitem(KINDS, "kinematic", SimpleNamespace(run=fake))
 
 
-def settings(*overrides: str) -> SimulateConfig:
+def settings(*overrides: str) -> SimulateSettings:
     return changed("kinematic", "experiment.duration=10", "objective=error_mm", "prune.after=2", *overrides)
 
 
@@ -64,7 +65,7 @@ def test_without_a_bound_only_divergence_ends_a_run_early(tmp_path: Path) -> Non
 
 @pytest.mark.parametrize("after", ["0", "-1", "10", "11"])
 def test_a_try_is_shorter_than_the_run(tmp_path: Path, after: str) -> None:
-    with pytest.raises(ConfigError, match=r"prune\.after"):
+    with pytest.raises(ApccError, match=r"prune\.after"):
         run(settings(f"prune.after={after}"), tmp_path)
 
 

@@ -15,7 +15,7 @@ from apcc_torch.native import function as native_function
 from apcc_torch.native.build import built
 from apcc_torch.native.compiled import compiled
 from apcc_torch.native.function import NativeFunction
-from apcc_torch.part import hold
+from apcc_torch.part import hold_rows
 from laws import generator, normal
 
 D = torch.float64
@@ -32,7 +32,10 @@ class Swing(nn.Module):
 
     def __init__(self, rate: float | Tensor = 0.5) -> None:
         super().__init__()
-        hold(self, rate=rate)
+        if isinstance(rate, Tensor):
+            hold_rows(self, rate=(rate, 0))
+        else:
+            self.rate = rate
 
     def forward(self, state: State, push: Tensor) -> tuple[State, Tensor]:
         rate = self.rate.unsqueeze(-1) if isinstance(self.rate, Tensor) else self.rate

@@ -8,15 +8,15 @@ from pathlib import Path
 
 import pytest
 import torch
-from apcc_torch.composition.typed import typed
 from hydra import compose, initialize_config_dir
 from hypothesis import given
 from hypothesis import strategies as st
 
 from apcc_torch.benchmark import compose_pairs, experiment
-from apcc_torch.composition.benchmark import BenchmarkConfig, GridConfig
+from apcc_torch.composition.benchmark import BenchmarkSettings, GridSettings
 from apcc_torch.composition.build import Builder
-from apcc_torch.composition.schema import SimulateConfig
+from apcc_torch.composition.run_settings import SimulateSettings
+from apcc_torch.composition.schema import typed
 from apcc_torch.conf_path import conf_path
 from apcc_torch.errors import ConfigError
 from apcc_torch.experiments.dynamic import simulate
@@ -38,13 +38,13 @@ OVERRIDES = [
 
 
 @pytest.fixture(scope="module")
-def config() -> BenchmarkConfig:
+def config() -> BenchmarkSettings:
     with initialize_config_dir(conf_path(), version_base="1.3"):
-        return typed(compose("benchmark", OVERRIDES), BenchmarkConfig)
+        return typed(compose("benchmark", OVERRIDES), BenchmarkSettings)
 
 
 @pytest.fixture(scope="module")
-def pairs(config: BenchmarkConfig) -> dict[str, dict[str, Pair]]:
+def pairs(config: BenchmarkSettings) -> dict[str, dict[str, Pair]]:
     return {name: dict(runs) for name, runs in compose_pairs(config).items()}
 
 
@@ -54,7 +54,7 @@ def results(pairs: dict[str, dict[str, Pair]], tmp_path_factory: pytest.TempPath
 
 
 @pytest.fixture(scope="module")
-def whole() -> SimulateConfig:
+def whole() -> SimulateSettings:
     """The paper's run II, uncut."""
     with initialize_config_dir(conf_path(), version_base="1.3"):
         return experiment("dynamic_run_2", [])
@@ -111,7 +111,7 @@ def test_change_percent_of_nothing(standard: float, adaptive: float) -> None:
     assert change_percent(standard, adaptive) is None
 
 
-def test_held_out_rows_are_the_odd_setpoints(whole: SimulateConfig) -> None:
+def test_held_out_rows_are_the_odd_setpoints(whole: SimulateSettings) -> None:
     target, payload = Builder(whole).grid()
     rows = held_out_rows(10, 3)
     points = whole.experiment.setpoints
@@ -120,17 +120,17 @@ def test_held_out_rows_are_the_odd_setpoints(whole: SimulateConfig) -> None:
     assert payload[rows].tolist() == [0.0, 0.25, 0.5] * 5
 
 
-def test_single_row_is_the_papers(whole: SimulateConfig) -> None:
+def test_single_row_is_the_papers(whole: SimulateSettings) -> None:
     target, payload = Builder(whole).grid()
     row = single_row(whole.experiment.payloads)
     assert target.x_d[row].tolist() == pytest.approx([0.325, 0.15, -0.275])
     assert float(payload[row]) == 0.5
 
 
-def test_grid_paper_is_the_experiments_as_they_are(whole: SimulateConfig) -> None:
-    cut = on_grid(whole, GridConfig("paper"), True)
+def test_grid_paper_is_the_experiments_as_they_are(whole: SimulateSettings) -> None:
+    cut = on_grid(whole, GridSettings(name="paper"), True)
     assert cut == whole
-    assert on_grid(whole, GridConfig("paper"), False).controller.adaptive is False
+    assert on_grid(whole, GridSettings(name="paper"), False).controller.adaptive is False
 
 
 def test_grid_small_cuts(pairs: dict[str, dict[str, Pair]]) -> None:
@@ -138,39 +138,42 @@ def test_grid_small_cuts(pairs: dict[str, dict[str, Pair]]) -> None:
     for both in pairs["A"].values():
         for name, c in both._asdict().items():
             assert c.experiment.setpoints is not None and len(c.experiment.setpoints) == 2
-            assert c.experiment.payloads == [0.0, 0.5]
+            assert c.experiment.payloads == (0.0, 0.5)
             assert c.controller.adaptive is (name == "adaptive")
             assert c.controller.rate == 20.0, "overrides of the experiments arrive"
 
 
-@pytest.mark.parametrize("grid", [GridConfig("g", setpoints=0), GridConfig("g", setpoints=11)])
-def test_number_of_setpoints_is_checked(whole: SimulateConfig, grid: GridConfig) -> None:
+@pytest.mark.parametrize("grid", [GridSettings(name="g", setpoints=0), GridSettings(name="g", setpoints=11)])
+def test_number_of_setpoints_is_checked(whole: SimulateSettings, grid: GridSettings) -> None:
     with pytest.raises(ConfigError, match=r"grid\.setpoints must be between 1 and 10"):
         on_grid(whole, grid, True)
 
 
-def test_payloads_are_checked(whole: SimulateConfig) -> None:
+def test_payloads_are_checked(whole: SimulateSettings) -> None:
     with pytest.raises(ConfigError, match=r"grid\.payloads"):
-        on_grid(whole, GridConfig("g", payloads=[]), True)
+        on_grid(whole, GridSettings(name="g", payloads=[]), True)
 
 
-def test_experiments_without_setpoints_are_refused(whole: SimulateConfig) -> None:
+def test_experiments_without_setpoints_are_refused(whole: SimulateSettings) -> None:
     other = replace(whole, experiment=replace(whole.experiment, name="tracking", setpoints=None))
     with pytest.raises(ConfigError, match="tracking is none"):
-        on_grid(other, GridConfig("g"), True)
+        on_grid(other, GridSettings(name="g"), True)
 
 
-def test_controllers_must_have_the_same_task(whole: SimulateConfig) -> None:
+def test_controllers_must_have_the_same_task(whole: SimulateSettings) -> None:
     check_pair("run_2", Pair(whole, whole))
     longer = replace(whole, experiment=replace(whole.experiment, duration=11.0))
     with pytest.raises(ConfigError, match=r"both controllers of run_2 must have the same experiment\.duration"):
         check_pair("run_2", Pair(whole, longer))
-    heavier = replace(whole, plant=replace(whole.plant, mass=2.0))
+    heavier = replace(whole, plant=whole.plant.changed(tendon_damping=2.0))
     with pytest.raises(ConfigError, match="same plant"):
         check_pair("run_2", Pair(whole, heavier))
+    longer_arm = replace(whole, arm=whole.arm.changed(mass=2.0))
+    with pytest.raises(ConfigError, match="same arm"):
+        check_pair("run_2", Pair(whole, longer_arm))
 
 
-def test_empty_benchmark_is_refused(config: BenchmarkConfig, tmp_path: Path) -> None:
+def test_empty_benchmark_is_refused(config: BenchmarkSettings, tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="at least one run"):
         run(config, {"A": {}}, tmp_path)
 
@@ -198,7 +201,7 @@ def test_single_row_of_the_grid_is_the_run_alone(
 ) -> None:
     c = pairs["A"]["run_2"].adaptive
     assert c.experiment.setpoints is not None
-    alone = replace(c, experiment=replace(c.experiment, setpoints=c.experiment.setpoints[:1], payloads=[0.5]))
+    alone = replace(c, experiment=replace(c.experiment, setpoints=c.experiment.setpoints[:1], payloads=(0.5,)))
     log, _ = simulate(replace(alone, progress=False), True, "alone")
     single = results["A"]["run_2_single"]["adaptive"].log
     torch.testing.assert_close(single.q_true, log.q_true, rtol=1e-7, atol=1e-9)

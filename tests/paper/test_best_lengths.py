@@ -11,6 +11,7 @@ from apcc_torch.composition.build import Builder
 from apcc_torch.experiments.dynamic import simulate, thinned
 from apcc_torch.paper.best_lengths import PRICES, Limits, length_grid, limits
 from apcc_torch.simulation.metrics import backbone_error
+from apcc_torch.spread import spread
 from composed import composed
 
 
@@ -65,11 +66,12 @@ def test_an_instant_stands_for_the_time_around_it() -> None:
 def test_the_grid_spans_the_bounds_and_more_and_holds_the_nominal_lengths() -> None:
     config = composed("experiment=dynamic_run_2")
     grid = length_grid(config, Builder(config))
-    lower, upper = (torch.tensor(b, dtype=torch.float64) for b in (config.adaptation.lower, config.adaptation.upper))
+    nominal = config.arm.rest_lengths()
+    lower, upper = (spread("bounds", b, 3) * nominal for b in (config.bounds.lower, config.bounds.upper) if b)
     for corner in (lower, upper):
         assert bool((grid - corner).abs().amax(-1).min() < 1e-12)
     assert bool((grid.amin(0) <= lower).all()) and bool((grid.amax(0) >= upper).all())
-    torch.testing.assert_close(grid[0], torch.tensor(config.robot.rest_lengths, dtype=torch.float64))
-    free = replace(config, adaptation=replace(config.adaptation, lower=None, upper=None))
+    torch.testing.assert_close(grid[0], nominal)
+    free = replace(config, bounds=replace(config.bounds, lower=None, upper=None))
     corner = 1.25 * grid[0]
     assert bool((length_grid(free, Builder(free)) - corner).abs().amax(-1).min() < 1e-12)

@@ -15,7 +15,8 @@ from apcc_torch.hardware.dynamixel.registers import (
     VELOCITY_UNIT,
     WATCHDOG_UNIT,
 )
-from apcc_torch.settings import OURS, PAPER, Numbers, Settings, setting, spread
+from apcc_torch.settings import OURS, PAPER, Settings, setting
+from apcc_torch.spread import Numbers, spread
 
 MAX_ID = 252
 MAX_CURRENT = MAX_CURRENT_TICKS * CURRENT_UNIT

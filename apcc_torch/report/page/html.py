@@ -59,7 +59,7 @@ class Page:
             "higher": list(HIGHER_IS_BETTER),
             "footer": self.footer,
             "folders": list(self.folders),
-            "pictures": {str(row): [picture._asdict() for picture in found] for row, found in self.pictures.items()},
+            "pictures": {str(row): [picture._asdict() for picture in of_row] for row, of_row in self.pictures.items()},
             "columns": [
                 {
                     "name": column.name,
