@@ -9,9 +9,12 @@ from __future__ import annotations
 import importlib
 from typing import Any
 
-from apcc_torch.control.adaptation import AdaptiveLaw
+from apcc_torch.control.adaptation import AdaptiveLaw, NormalisedLaw
+from apcc_torch.control.control_settings import ControlSettings
 from apcc_torch.control.controller import APCCController
 from apcc_torch.control.inverse_kinematics import InverseKinematics
+from apcc_torch.control.length_bounds import LengthBounds
+from apcc_torch.control.length_law import LengthLaw
 from apcc_torch.control.step_io import Command, ControllerState, Measurement, Target
 from apcc_torch.errors import ApccError
 from apcc_torch.estimation.feedback import Feedback, FeedbackStatus
@@ -25,6 +28,8 @@ from apcc_torch.model.constant_strain import ConstantStrainBackbone
 from apcc_torch.model.dynamics import SoftArmDynamics
 from apcc_torch.model.kinematic_model import KinematicModel
 from apcc_torch.model.tendons import TendonRouting
+from apcc_torch.part import Part
+from apcc_torch.settings import Settings, resolved, setting
 from apcc_torch.simulation.metrics import shape_error
 
 __version__ = "0.1.0"
@@ -37,20 +42,28 @@ __all__ = [
     "Arm",
     "Command",
     "ConstantStrainBackbone",
+    "ControlSettings",
     "ControllerState",
     "Feedback",
     "FeedbackStatus",
     "InverseKinematics",
     "KinematicModel",
+    "LengthBounds",
+    "LengthLaw",
     "Measurement",
+    "NormalisedLaw",
     "PCCBackbone",
+    "Part",
     "SavitzkyGolay",
+    "Settings",
     "SoftArmDynamics",
     "StateFeedback",
     "Target",
     "TendonRouting",
     "compose",
     "decouple",
+    "resolved",
+    "setting",
     "shape_error",
 ]
 

@@ -21,7 +21,7 @@ from apcc_torch.composition.arm_file import arm_override
 from apcc_torch.composition.benchmark import BenchmarkSettings, PairSettings
 from apcc_torch.composition.help import describe
 from apcc_torch.composition.run_settings import SimulateSettings
-from apcc_torch.composition.schema import check_words, schema, typed
+from apcc_torch.composition.schema import check_words, schema, sentence, typed
 from apcc_torch.conf_path import conf_path
 from apcc_torch.errors import ApccError, ConfigError
 from apcc_torch.files import write_atomically
@@ -45,7 +45,7 @@ def experiment(name: str, overrides: list[str]) -> SimulateSettings:
         return typed(compose("simulate", [f"experiment={name}", *arm_override(overrides)]), SimulateSettings)
     except (HydraException, OmegaConfBaseException) as error:
         changed = f" with {', '.join(overrides)}" if overrides else ""
-        raise ConfigError(f"experiment {name}{changed}: {str(error).splitlines()[0]}") from error
+        raise ConfigError(f"experiment {name}{changed}: {sentence(error)}") from error
 
 
 def pair(config: BenchmarkSettings, names: PairSettings) -> paper.Pair:

@@ -18,7 +18,7 @@ from apcc_torch.composition.arm_file import arm_override
 from apcc_torch.composition.build import Builder
 from apcc_torch.composition.dynamics_law import with_dynamics
 from apcc_torch.composition.run_settings import SimulateSettings
-from apcc_torch.composition.schema import schema, text, typed
+from apcc_torch.composition.schema import check_words, schema, sentence, text, typed
 from apcc_torch.conf_path import conf_path
 from apcc_torch.control.composite_controller import CompositeController
 from apcc_torch.control.controller import APCCController
@@ -82,10 +82,12 @@ def compose(*overrides: str) -> Composed:
         >>> composed.settings.controller.K, composed.settings.experiment.duration
         (1.2, 10.0)
     """
-    ready = GlobalHydra.instance().is_initialized()
+    words, ready = arm_override(overrides), GlobalHydra.instance().is_initialized()
+    if not ready:
+        check_words(words, SimulateSettings)
     try:
         with nullcontext() if ready else initialize_config_dir(conf_path(), version_base="1.3"):
-            cfg = hydra_compose("simulate", arm_override(list(overrides)))
+            cfg = hydra_compose("simulate", words)
     except (HydraException, OmegaConfBaseException) as error:
-        raise ConfigError(str(error).splitlines()[0]) from error
+        raise ConfigError(sentence(error)) from error
     return Composed(typed(cfg, SimulateSettings))

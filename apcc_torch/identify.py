@@ -13,7 +13,9 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 
 from apcc_torch.composition.arm_file import arm_override
+from apcc_torch.composition.help import describe
 from apcc_torch.composition.identify import IdentifySettings, known_arm
+from apcc_torch.composition.schema import check_words
 from apcc_torch.conf_path import conf_path
 from apcc_torch.errors import ApccError, ConfigError
 from apcc_torch.experiments import identification
@@ -22,6 +24,7 @@ from apcc_torch.reading import defaults, read
 log = logging.getLogger("apcc_torch.identify")
 
 ConfigStore.instance().store(name="identify_defaults", node=defaults(IdentifySettings))
+describe("identify", IdentifySettings)
 
 
 @hydra.main(version_base="1.3", config_path=conf_path(), config_name="identify")
@@ -63,6 +66,7 @@ def main() -> None:
     """Console entry point."""
     try:
         sys.argv[1:] = arm_override(with_arm(sys.argv[1:]))
+        check_words(sys.argv[1:], IdentifySettings)
     except ApccError as error:
         sys.stderr.write(f"{error}\n")
         sys.exit(2)

@@ -65,6 +65,13 @@ class Part(Configurable, nn.Module):
 
     Whether it has settings or not: its plain attributes are in its `state_dict` beside its tensors, it is copied and
     saved whole (`torch.load(weights_only=True)` takes it), and its public methods run without `torch.autocast`.
+
+    Example:
+        >>> integral = TaskIntegral(gain=2.0)
+        >>> integral
+        TaskIntegral(gain=2.0, reach=0.001)
+        >>> integral.settings.changed(reach=2e-3)
+        TaskIntegralSettings(gain=2.0, reach=0.002)
     """
 
     def __init_subclass__(cls, **keywords: Any) -> None:

@@ -25,7 +25,7 @@ log = logging.getLogger("apcc_torch.robot")
 
 
 ConfigStore.instance().store(name="realtime_schema", node=schema(RealtimeSettings))
-describe("robot", RealtimeSettings)
+describe("robot", RealtimeSettings, "realtime")
 OmegaConf.register_new_resolver("exit_codes", exit_code_table, replace=True)
 
 

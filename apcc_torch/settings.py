@@ -95,7 +95,16 @@ def setting(
     factory: Any = MISSING,
     **about: Any,
 ) -> Any:
-    """A field of a `Settings` class; `about` as `About`. Without a default or factory it has to be given."""
+    """A field of a `Settings` class; `about` as `About`. Without a default or factory it has to be given.
+
+    Example:
+        >>> from dataclasses import dataclass
+        >>> @dataclass(frozen=True, kw_only=True)
+        ... class LeakSettings(Settings):
+        ...     time: float = setting(2.0, "s", meaning="in which the estimate leaks away", above=0)
+        >>> LeakSettings(time=3.0)
+        LeakSettings(time=3.0)
+    """
     metadata = {"about": About(unit, source, meaning, **about)}
     if factory is not MISSING:
         return field(default_factory=factory, metadata=metadata)
@@ -179,6 +188,10 @@ def resolved(kind: type[Kind], given: Sequence[Any], changes: Mapping[str, Any])
 
     Raises:
         ConfigError: There are too many values, or a name is unknown.
+
+    Example:
+        >>> resolved(TaskIntegralSettings, (), {"gain": 2.0})
+        TaskIntegralSettings(gain=2.0, reach=0.001)
     """
     told_names, owner = names(kind), kind.__name__.removesuffix("Settings")
     check_names(owner, changes, told_names)

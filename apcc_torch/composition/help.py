@@ -5,19 +5,21 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Iterator, Mapping
 from dataclasses import MISSING
+from pathlib import Path
 from typing import Any, NamedTuple
 
+import yaml
 from omegaconf import DictConfig, OmegaConf
 
 from apcc_torch.composition.schema import typed
+from apcc_torch.conf_path import conf_path
 from apcc_torch.errors import ApccError
-from apcc_torch.part import part_of
 from apcc_torch.reading import nested_in
 from apcc_torch.settings import Settings, about_of, default_of, keys
 
 WIDTH = 118
-ROOTS: dict[str, type[Settings]] = {}
-"""The root of each command whose help is to name its keys."""
+COMMANDS: dict[str, tuple[type[Settings], str]] = {}
+"""The root of each command, and the name of its configuration."""
 
 
 class Row(NamedTuple):
@@ -46,8 +48,8 @@ def rows(settings: Settings | type[Settings], prefix: str = "") -> Iterator[Row]
         if isinstance(value, Settings):
             yield Row(key, _shown(value) if about.base is not None else "", "", "", about.meaning)
             yield from rows(value, f"{key}.")
-        elif value is None and absent is not None:
-            yield Row(key, "null", "", "", about.meaning)
+        elif absent is not None and (value is None or value is MISSING):
+            yield Row(key, "null" if value is None else "", "", "", about.meaning)
             yield from rows(absent, f"{key}.")
         else:
             default, source = default_of(each), about.source
@@ -62,7 +64,7 @@ def _shown(value: Any) -> str:
     if value is None:
         return "null"
     if isinstance(value, Settings):
-        return part_of(value).__name__
+        return getattr(type(value), "part", type(value)).__name__
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, float):
@@ -92,16 +94,33 @@ def table(settings: Settings) -> str:
 
 def _keys_of(command: str, *, _root_: DictConfig) -> str:
     try:
-        told = table(typed(_root_, ROOTS[command]))
+        told = table(typed(_root_, COMMANDS[command][0]))
     except ApccError as error:
         told = f"These settings do not fit: {error}"
     return told.replace("$", "$$")  # hydra reads its template's dollars
 
 
-def describe(command: str, root: type[Settings]) -> None:
-    """Makes `${keys_of:COMMAND}` in a command's help template the table of the keys of its root.
+def _groups_of(command: str) -> str:
+    folder = Path(conf_path())
+    entries = yaml.safe_load((folder / f"{COMMANDS[command][1]}.yaml").read_text(encoding="utf-8"))["defaults"]
+    groups = [name for entry in entries if isinstance(entry, dict) for name in entry if (folder / name).is_dir()]
+    names = {group: sorted(path.stem for path in (folder / group).glob("*.yaml")) for group in groups}
+    width = max(map(len, names)) + 1
+    return "\n".join(
+        textwrap.fill(", ".join(names[group]), WIDTH, initial_indent=f"{group:<{width}}", subsequent_indent=" " * width)
+        for group in groups
+    )
 
-    What is shown are the values that the command would run with.
+
+def describe(command: str, root: type[Settings], config: str | None = None) -> None:
+    """Makes two resolvers of a command's help template: `${groups_of:COMMAND}`, what can be chosen, and
+    `${keys_of:COMMAND}`, every key with the value that the command would run with.
+
+    Args:
+        command: Its name.
+        root: Its settings.
+        config: The name of its configuration; None for the command's.
     """
-    ROOTS[command] = root
+    COMMANDS[command] = root, config or command
     OmegaConf.register_new_resolver("keys_of", _keys_of, replace=True)
+    OmegaConf.register_new_resolver("groups_of", _groups_of, replace=True)

@@ -73,6 +73,15 @@ def _check_key(path: Sequence[str], root: type[Settings]) -> None:
         root = nested
 
 
+def sentence(error: Exception) -> str:
+    """What hydra or OmegaConf say of an error, as one sentence; of a choice that there is not, with what there is."""
+    said, _, options = str(error).partition("Available options in ")
+    first = said.strip().splitlines()[0]
+    if not options:
+        return first
+    return f"{first}; there is {', '.join(options.partition('Config search path')[0].split()[1:])}"
+
+
 def values_of(cfg: DictConfig) -> dict[str, Any]:
     """What hydra composed, as plain values, without hydra's own.
 
@@ -82,7 +91,7 @@ def values_of(cfg: DictConfig) -> dict[str, Any]:
     try:
         values = OmegaConf.to_container(OmegaConf.masked_copy(cfg, [str(k) for k in cfg if k != "hydra"]), resolve=True)
     except OmegaConfBaseException as error:
-        raise ConfigError(str(error).splitlines()[0]) from error
+        raise ConfigError(sentence(error)) from error
     assert isinstance(values, Mapping)  # of a DictConfig
     return {str(key): value for key, value in values.items()}
 

@@ -50,11 +50,12 @@ class BackbonePoints(nn.Module):
         self.register_buffer("powers", powers(tuple(shares), base))
         self.register_buffer("backbone", index[0].to(base.device))
         self.register_buffer("sensors", index[1].to(base.device))
+        self.whole = index[0].equal(torch.arange(len(shares) * parts * int(backbone.section.max() + 1)))
 
     def forward(self, q: Tensor, lengths: Tensor) -> Positions:
         """The positions on arms with configurations (N, 3 n) and rest lengths (N, n), m."""
         points = backbone_points(q, lengths, self.base, self.powers)
-        return Positions(points[:, self.backbone], points[:, self.sensors])
+        return Positions(points if self.whole else points[:, self.backbone], points[:, self.sensors])
 
 
 def _in_parts(at: Places, parts: int) -> tuple[Tensor, Tensor]:

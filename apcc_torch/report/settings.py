@@ -106,7 +106,8 @@ def swept_keys(
     known: dict[str, None] = dict.fromkeys(key for run in settings for key in run)
     folders = {key[:k] for key in known for k, letter in enumerate(key) if letter == "."}
     named = dict.fromkeys(key for run in overrides for key in run if not is_how(key))
-    groups = [key for key in named if key not in known]
+    # A part that some runs lack is a value there and a group elsewhere.
+    groups = [key for key in named if key not in known or key in folders]
     choices = [tuple(run.get(group) for group in groups) for run in overrides]
     named_choices = [(*choice, str(run.get(NAME))) for choice, run in zip(choices, settings, strict=True)]
     chosen = {*named, *own}
@@ -114,7 +115,7 @@ def swept_keys(
         group for group in groups if group in folders or "/" in group or len({r.get(group) for r in overrides}) > 1
     ]
     for key in known:
-        if is_how(key):
+        if is_how(key) or key in folders:
             continue
         if key in chosen or _varies(key, settings, choices if key == NAME else named_choices):
             swept.append(key)
@@ -125,8 +126,9 @@ def _varies(key: str, settings: Sequence[Mapping[str, object]], choices: Sequenc
     """Whether the key has two values among runs of equal choices."""
     first: dict[tuple[str | None, ...], object] = {}
     for run, choice in zip(settings, choices, strict=True):
-        if key in run:
-            value = comparable(run[key])
+        # A part that is not there has no class, and no settings that could differ.
+        if key in run or key.endswith(".kind"):
+            value = comparable(run.get(key))
             if first.setdefault(choice, value) != value:
                 return True
     return False

@@ -18,7 +18,7 @@ from omegaconf import DictConfig, ListConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from apcc_torch.composition.run_settings import SimulateSettings
-from apcc_torch.composition.schema import values_of
+from apcc_torch.composition.schema import sentence, values_of
 from apcc_torch.composition.stacking import Point
 from apcc_torch.errors import ConfigError
 from apcc_torch.reading import read
@@ -191,4 +191,4 @@ def _naming(what: str) -> Iterator[None]:
     try:
         yield
     except (HydraException, OmegaConfBaseException) as error:
-        raise ConfigError(f"{what}: {str(error).splitlines()[0]}") from error
+        raise ConfigError(f"{what}: {sentence(error)}") from error

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -12,6 +11,7 @@ import torch
 import yaml
 from torch import Tensor
 
+from apcc_torch.composition.schema import text
 from apcc_torch.experiments import dynamic, kinematic
 from apcc_torch.model.backbone import HANGING, PCCBackbone
 from apcc_torch.report.backbone_drawing import Snapshots, marker_positions
@@ -100,5 +100,5 @@ def real_runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
             config = changed(experiment, *quick, *more)
             folder = root / experiment / str(k)
             run[experiment](config, folder)
-            (folder / "config.yaml").write_text(yaml.safe_dump(dataclasses.asdict(config)))
+            (folder / "config.yaml").write_text(text(config))
     return root

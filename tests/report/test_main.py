@@ -15,7 +15,7 @@ import pytest
 import torch
 
 from apcc_torch.errors import DataError
-from apcc_torch.experiments import redrawing
+from apcc_torch.experiments import kinematic, redrawing
 from apcc_torch.report import __main__ as program
 from apcc_torch.report import animation, run_table
 from apcc_torch.report.backbone_drawing import Snapshots
@@ -44,8 +44,8 @@ def test_the_film_shows_the_run(
     def film(path: Path, shots: Snapshots, readouts: dict[str, torch.Tensor], max_frames: int) -> None:
         filmed.update(shots=shots, readouts=readouts)
 
-    monkeypatch.setattr(redrawing, "save_animation", film)
-    monkeypatch.setattr(redrawing, "INSTANTS", instants)
+    monkeypatch.setattr(kinematic, "save_animation", film)
+    monkeypatch.setattr(kinematic, "INSTANTS", instants)
     redrawing.draw_anew(real_runs / "kinematic" / "1", tmp_path, True, True)
     _, arrays = redrawing.load_run(real_runs / "kinematic" / "1")
     # A short run is shown whole, a long one thinned, its last instant included.
@@ -98,7 +98,7 @@ def test_the_command_writes_its_files_and_ranks(runs: Path, capsys: pytest.Captu
 
 def test_without_ffmpeg_the_film_is_a_gif(runs: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(animation, "imageio_ffmpeg", None)
-    monkeypatch.setattr(redrawing, "FILM_FRAMES", 3)
+    monkeypatch.setattr(kinematic, "FILM_FRAMES", 3)
     *_, film = program.illustrate(runs / "kinematic" / "0", True)
     assert film.film and film.uri.startswith("data:image/gif;base64,R0lGOD")
 

@@ -80,14 +80,20 @@ def test_how_a_run_is_computed_is_no_setting_of_it() -> None:
 
 def test_what_follows_from_a_chosen_group_is_not_swept_beside_it() -> None:
     runs: list[dict[str, object]] = [
-        {"robot.mass": 1, "robot.name": "one", "gain": 0.1},
-        {"robot.mass": 2, "robot.name": "two", "gain": 0.1},
-        {"robot.mass": 2, "robot.name": "two", "gain": 0.3},
+        {"arm.mass": 1, "arm.name": "one", "gain": 0.1},
+        {"arm.mass": 2, "arm.name": "two", "gain": 0.1},
+        {"arm.mass": 2, "arm.name": "two", "gain": 0.3},
     ]
-    chosen = [{"robot": "first"}, {"robot": "second"}, {"robot": "second"}]
-    assert settings.swept_keys(runs, chosen) == ["robot", "gain"]
+    chosen = [{"arm": "first"}, {"arm": "second"}, {"arm": "second"}]
+    assert settings.swept_keys(runs, chosen) == ["arm", "gain"]
     # Without the choice there is nothing that the settings could follow from.
-    assert settings.swept_keys(runs, [{}, {}, {}]) == ["robot.mass", "robot.name", "gain"]
+    assert settings.swept_keys(runs, [{}, {}, {}]) == ["arm.mass", "arm.name", "gain"]
+
+
+def test_a_part_that_some_runs_lack_is_swept() -> None:
+    runs: list[dict[str, object]] = [{"law": None, "gain": 1}, {"law.kind": "a.B", "law.rate": 2, "gain": 1}]
+    assert settings.swept_keys(runs, [{}, {}]) == ["law.kind"]
+    assert settings.swept_keys(runs, [{"law": "none"}, {"law": "b"}]) == ["law"]
 
 
 def test_what_follows_from_the_experiments_name_is_not_swept_beside_it() -> None:
