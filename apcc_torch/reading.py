@@ -95,7 +95,7 @@ def _value(value: Any, each: Field[Any], root: type[Settings], key: str, trust: 
         if origin is dict and is_dataclass(inner[1]) and isinstance(value, Mapping):
             kind = cast(type[Settings], inner[1])
             return {str(name): read(entry, kind, _join(key, str(name)), trust) for name, entry in value.items()}
-        if origin is tuple and float not in options and not isinstance(value, Mapping):
+        if origin is tuple and float not in options:
             return _entries(value, inner[0], key)
     # YAML tells 2 from 2.0, and a setting that is a number does not.
     if isinstance(value, int) and not isinstance(value, bool) and float in options and int not in options:
