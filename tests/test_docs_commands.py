@@ -21,17 +21,21 @@ from typing import Any
 import pytest
 import torch
 from hydra import compose, initialize_config_dir
+from hydra.core.config_store import ConfigStore
 from hydra.core.override_parser.overrides_parser import OverridesParser
 
-from apcc_torch import benchmark  # whose import registers their settings with hydra
+from apcc_torch import benchmark
 from apcc_torch.composition.arm_file import arm_override
 from apcc_torch.composition.benchmark import BenchmarkSettings
 from apcc_torch.composition.help import rows
 from apcc_torch.composition.identify import IdentifySettings
 from apcc_torch.composition.schema import typed
 from apcc_torch.conf_path import conf_path
+from apcc_torch.reading import defaults
 from composed import composed, composed_realtime
 from doc_pages import PAGES, ROOT, Block, Command, commands, keys, name_of, python_blocks
+
+ConfigStore.instance().store(name="identify_defaults", node=defaults(IdentifySettings))
 
 UNCHECKED_COMMANDS: dict[str, str] = {
     "simulate -cd my_conf experiment=kinematic sweep=mine": "the folder is the reader's; test_simulate has such a one",
