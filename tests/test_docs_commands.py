@@ -42,7 +42,9 @@ UNCHECKED_COMMANDS: dict[str, str] = {
     "simulate experiment=kinematic adaptation=custom adaptation.kind=my_laws.Leak adaptation.time=2": (
         "the module is the reader's"
     ),
-    "simulate experiment=kinematic model=custom model.kind=my_models.Quadratic model.rods=4": "the reader's module",
+    "simulate experiment=kinematic model=custom model.kind=my_models.Quadratic model.rods=4": (
+        "the module is the reader's"
+    ),
     "robot experiment=setpoint hardware.actuator.kind=my_motors.Motors hardware.actuator.port=/dev/ttyUSB0": (
         "the module is the reader's"
     ),
