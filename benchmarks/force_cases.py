@@ -16,7 +16,8 @@ from apcc_torch.estimation.load_from_shape import LoadFromShape
 from apcc_torch.experiments.dynamic import simulate
 from apcc_torch.model.abscissae import decouple
 from apcc_torch.model.affine import AffineBackbone
-from apcc_torch.model.dynamics import EquationOfMotion, SoftArmDynamics
+from apcc_torch.model.dynamics import SoftArmDynamics
+from apcc_torch.model.equation_of_motion import EquationOfMotion
 from apcc_torch.model.kinematic_model import KinematicModel
 from apcc_torch.model.loads import Loads
 from apcc_torch.model.static_body import StaticBody
