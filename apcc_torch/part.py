@@ -43,8 +43,9 @@ class Configurable:
             cls.settings_type = type(name, (base,), {**place, "__doc__": base.__doc__})
         own: Any = cls.settings_type
         own.part = cls
-        if fields(own) and any(p.kind is p.VAR_KEYWORD for p in inspect.signature(cls.__init__).parameters.values()):
-            cls.__signature__ = _signature(cls, own)  # type: ignore[attr-defined]
+        if fields(own):
+            taken = any(p.kind is p.VAR_KEYWORD for p in inspect.signature(cls.__init__).parameters.values())
+            cls.__signature__ = _signature(cls, own if taken else Settings)  # type: ignore[attr-defined]
 
 
 class Part(Configurable, nn.Module):

@@ -95,7 +95,7 @@ def _value(value: Any, each: Field[Any], root: type[Settings], key: str, trust: 
         if origin is dict and is_dataclass(inner[1]) and isinstance(value, Mapping):
             kind = cast(type[Settings], inner[1])
             return {str(name): read(entry, kind, _join(key, str(name)), trust) for name, entry in value.items()}
-        if origin is tuple and float not in options and not isinstance(value, Mapping):
+        if origin is tuple and float not in options:
             return _entries(value, inner[0], key)
     # YAML tells 2 from 2.0, and a setting that is a number does not.
     if isinstance(value, int) and not isinstance(value, bool) and float in options and int not in options:
@@ -145,18 +145,19 @@ def read_part(values: Any, base: type, key: str, trust: Trust = Trust.ANY, defau
 def plain(settings: Any) -> Any:
     """Settings as plain values that `read` takes: mappings, lists, numbers and texts."""
     if is_dataclass(settings) and not isinstance(settings, type):
-        values = {}
-        for each in keys(type(settings)):
-            value = getattr(settings, each.name)
-            values[each.name] = plain(value)
-            if about_of(each).base is not None and value is not None:
-                values[each.name] = {"kind": name_of(part_of(value)), **values[each.name]}
-        return values
+        return {each.name: _plain_field(each, getattr(settings, each.name)) for each in keys(type(settings))}
     if isinstance(settings, Mapping):
         return {name: plain(value) for name, value in settings.items()}
     if isinstance(settings, list | tuple):
         return [plain(value) for value in settings]
     return settings.tolist() if isinstance(settings, Tensor) else settings
+
+
+def _plain_field(each: Field[Any], value: Any) -> Any:
+    """A field's plain value; of a part with its class."""
+    if about_of(each).base is None or value is None:
+        return plain(value)
+    return {"kind": name_of(part_of(value)), **plain(value)}
 
 
 def deviations(settings: Settings) -> dict[str, Any]:
@@ -166,7 +167,7 @@ def deviations(settings: Settings) -> dict[str, Any]:
         value, default = getattr(settings, each.name), default_of(each)
         if isinstance(value, Tensor) or value != default:
             nested = isinstance(value, Settings) and about_of(each).base is None
-            values[each.name] = deviations(value) if nested else plain(value)
+            values[each.name] = deviations(value) if nested else _plain_field(each, value)
     return values
 
 
@@ -178,10 +179,8 @@ def defaults(root: type[Settings]) -> dict[str, Any]:
         if default is MISSING:
             annotation = _types(root)[each.name]
             values[each.name] = defaults(cast(type[Settings], annotation)) if is_dataclass(annotation) else MUST
-        elif about_of(each).base is not None and default is not None:
-            values[each.name] = {"kind": name_of(part_of(default)), **plain(default)}
         else:
-            values[each.name] = plain(default)
+            values[each.name] = _plain_field(each, default)
     return values
 
 

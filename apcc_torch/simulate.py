@@ -62,7 +62,7 @@ def main() -> None:
         # The manual ends with every key and its value, and only a chosen experiment has them all.
         sys.argv.append("experiment=kinematic")
     try:
-        sys.argv[1:] = arm_override(with_batch(sys.argv[1:]))
+        sys.argv[1:] = with_batch(arm_override(sys.argv[1:]))
         check_words(sys.argv[1:], SimulateSettings)
     except ApccError as error:
         sys.exit(f"apcc_torch.simulate: {error}")

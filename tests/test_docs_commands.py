@@ -38,9 +38,7 @@ UNCHECKED_COMMANDS: dict[str, str] = {
     "simulate experiment=kinematic adaptation=custom adaptation.kind=my_laws.Leak adaptation.time=2": (
         "the module is the reader's"
     ),
-    "simulate experiment=kinematic model=custom model.kind=my_models.Quadratic model.rods=4": (
-        "the module is the reader's"
-    ),
+    "simulate experiment=kinematic model=custom model.kind=my_models.Quadratic model.rods=4": "the reader's module",
     "robot experiment=setpoint hardware.actuator.kind=my_motors.Motors hardware.actuator.port=/dev/ttyUSB0": (
         "the module is the reader's"
     ),

@@ -10,7 +10,6 @@ import pytest
 import torch
 from torch import Tensor
 
-from apcc_torch.composition.run_settings import ExperimentSettings
 from apcc_torch.control.adaptation import AdaptiveLaw
 from apcc_torch.control.controller import APCCController
 from apcc_torch.control.inverse_kinematics import InverseKinematics
@@ -34,7 +33,7 @@ from apcc_torch.settings import About, Settings, about_of, aligned, check_settin
 from apcc_torch.simulation.plant import Plant, PlantSettings
 from apcc_torch.simulation.sensors import PoseSensors
 from arms import HANGING_BASE, PI
-from every_class import subclasses
+from every_class import needed, settings_classes, subclasses
 from law_steps import law_step
 
 ROWS = 3
@@ -65,12 +64,7 @@ def test_aligned_puts_the_rows_before_what_they_scale() -> None:
     assert is_on(rows(0.0, 1.0)) and is_on(rows(0.0, 0.0)) and is_on(0.5) and not is_on(0.0)
 
 
-SETTINGS = [kind for kind in subclasses(Settings) if names(kind) and kind.__module__.startswith("apcc_torch.")]
-NEEDED: dict[type, dict[str, Any]] = {
-    Arm: {"lengths": (0.2, 0.25)},
-    ExperimentSettings: {"name": "n", "kind": "dynamic"},
-}
-"""Values without which settings are not made."""
+SETTINGS = settings_classes()
 
 
 def numbers_of(kind: type[Settings]) -> Iterator[tuple[Field[Any], About]]:
@@ -90,15 +84,15 @@ def test_a_range_holds_for_a_number_and_for_every_row(kind: type[Settings], name
     tried = (-1, 0) if whole else (-1.0, 0.0, 1.0, 1e9, float("inf"), float("-inf"), float("nan"))
     bad = [value for value in tried if not inside(about, value)]
     assert bad
-    needed = NEEDED.get(kind, {})
+    others = needed(kind)
     for value in bad:
         for setting in (value, torch.tensor([good, value])):
             with pytest.raises(ValueRangeError, match=f"^{name} must be .*, got {value}"):
-                kind(**{**needed, name: setting})
+                kind(**{**others, name: setting})
     both = torch.tensor([good, good])
-    assert getattr(kind(**{**needed, name: both}), name) is both
+    assert getattr(kind(**{**others, name: both}), name) is both
     with pytest.raises(ConfigError, match=f"^{name} must be a(n?) (whole )?number, got 'much'"):
-        kind(**{**needed, name: "much"})
+        kind(**{**others, name: "much"})
 
 
 def inside(about: About, value: float) -> bool:
@@ -115,7 +109,7 @@ def test_an_unknown_name_is_refused_with_what_may_be_meant(kind: type[Settings])
     longest = max(known, key=len)
     misspelt = f"{longest}x"
     with pytest.raises(ConfigError, match=rf"^\w* ?has no setting '{misspelt}'; did you mean {longest}\?$"):
-        resolved(kind, (), {**NEEDED.get(kind, {}), misspelt: 1})
+        resolved(kind, (), {misspelt: 1})
     with pytest.raises(ConfigError, match=f"has no setting 'qqqq'; it has {', '.join(known)}$"):
         resolved(kind, (), {"qqqq": 1})
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from math import pi
 from typing import Any
 
 import torch
@@ -123,8 +122,7 @@ class Builder:
         e = self.config.experiment
         if e.r_0 is None or e.A is None:
             raise ConfigError("experiment.r_0 and experiment.A must be given for a sine trajectory")
-        omega = 0.2 * pi if e.omega is None else e.omega
-        return SineTrajectory(self.vector("experiment.r_0", e.r_0, 3), self.vector("experiment.A", e.A, 3), omega)
+        return SineTrajectory(self.vector("experiment.r_0", e.r_0, 3), self.vector("experiment.A", e.A, 3), e.omega)
 
     def setpoints(self) -> Tensor:
         """(S, 3) set-points of the chosen subset, m; of several runs with their own (P, S, 3)."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import pi
 from typing import Any
 
 from apcc_torch.control.composite_controller import CompositeController
@@ -28,7 +29,7 @@ class ExperimentSettings(Settings):
     duration: float = setting(10.0, "s", PAPER, "of the run", above=0)
     r_0: Lengths | None = setting(None, "m", PAPER, "centre of the sine trajectory, Eq. (51)", rows="sections")
     A: Lengths | None = setting(None, "m", PAPER, "its amplitude", rows="sections")
-    omega: Setting | None = setting(None, "rad/s", PAPER, "its angular frequency; null: 0.2 pi", rows="number", above=0)
+    omega: Setting = setting(0.2 * pi, "rad/s", PAPER, "its angular frequency", rows="number", above=0)
     setpoints: Points | None = setting(None, "m", PAPER, "targets, lists of 3 numbers; null: the sine", rows="points")
     payloads: Lengths = setting((0.0,), "kg", PAPER, "at the tip, one row each for every set-point", rows="sections")
     subset: str = setting(

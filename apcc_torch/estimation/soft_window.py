@@ -22,7 +22,7 @@ class SoftWindow(SavitzkyGolay):
     Args:
         weights: (..., N) positive weights of the squares, the newest sample's last; only their ratios matter.
         order: Degree of the polynomial, less than N.
-        derivative: Which derivative, at most `order`.
+        derivative: Which derivative, at most `order`; None for that of `SavitzkyGolay`.
 
     Raises:
         ShapeError, ValueRangeError: An argument is out of its range.
@@ -38,9 +38,9 @@ class SoftWindow(SavitzkyGolay):
 
     weights: Tensor
 
-    def __init__(self, weights: Tensor, order: int, derivative: int = 1) -> None:
+    def __init__(self, weights: Tensor, order: int, derivative: int | None = None) -> None:
         check_positive("weights", check_tensor("weights", weights, (None,)))
-        super().__init__(weights.shape[-1], order, derivative)
+        super().__init__(weights.shape[-1], order, *(() if derivative is None else (derivative,)))
         if not holds(weights.amin(-1) / weights.amax(-1) >= torch.finfo(weights.dtype).eps):
             raise ValueRangeError("weights must not differ by more than the number of digits of their dtype")
         hold_rows(self, weights=(weights, 1))

@@ -57,7 +57,9 @@ def with_batch(arguments: Sequence[str]) -> list[str]:
     with _naming("batch"):
         parser = OverridesParser.create()
         given = [a for a in after if "=" in a and not a.startswith("-")]
-        swept = [a for a in given if parser.parse_override(a).is_sweep_override()]
+        sweeps = [a for a in given if parser.parse_override(a).is_sweep_override()]
+        # What a swept group takes the place of is there without it.
+        swept = [a for s in sweeps for a in (f"~{s.partition('=')[0]}", s) if a in after]
     if not swept:
         raise ConfigError(f"{FLAG} needs a sweep after it, such as adaptation.gamma=10,20,40")
     kept = [argument for argument in after if argument not in swept]
@@ -161,6 +163,8 @@ def _choices(cfg: DictConfig, override: Override) -> list[Choice]:
     key = override.get_key_element()
     if key.lstrip("+~").startswith("hydra"):
         raise ConfigError(f"batch cannot sweep {key}: its points are computed in one process")
+    if override.is_delete():
+        return [Choice(str(override.input_line), key.lstrip("~"), None, "", False)]
     if not override.is_sweep_override():
         texts: Iterable[str] = [override.get_value_element_as_str()]
     elif override.is_discrete_sweep():

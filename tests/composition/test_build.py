@@ -116,7 +116,7 @@ def test_plant_is_the_arm_described() -> None:
 
 
 def test_sine_and_its_default_frequency() -> None:
-    target = builder("experiment.omega=null", experiment="kinematic").sine()(torch.tensor(2.5, dtype=torch.float64))
+    target = builder(experiment="kinematic").sine()(torch.tensor(2.5, dtype=torch.float64))
     # 0.2 pi * 2.5 s is a quarter turn: r_0 + A.
     torch.testing.assert_close(target.x_d, torch.tensor([0.5, 0.3, -0.4], dtype=torch.float64))
     assert builder("experiment.omega=2", experiment="kinematic").sine().omega == 2.0 != 0.2 * math.pi

@@ -124,6 +124,15 @@ def test_the_flag_turns_the_sweeps_after_it_into_a_batch() -> None:
     assert with_batch(line[:2]) == line[:2]
 
 
+def test_a_deletion_goes_with_the_sweep_that_takes_its_place() -> None:
+    made = with_batch(["--batch", "experiment=kinematic", "~arm", "~sensors", "arm={lengths:[1]},{lengths:[2]}"])
+    assert made[:-1] == ["experiment=kinematic", "~sensors"]
+    assert read_back(made) == ["~arm", "arm={lengths:[1]},{lengths:[2]}"]
+    first, second = points(["~arm", "arm={lengths:[0.4]},{lengths:[0.2,0.3]}"], "arm=arm_2")
+    assert first.config.arm.lengths == (0.4,) and second.config.arm.lengths == (0.2, 0.3)
+    assert second.config.arm.sensors is None and list(second.settings) == ["arm"]
+
+
 @pytest.mark.parametrize(
     "sweep", ["data='a b','c\"d'", 'data="x,y",z', "adaptation.gamma=[1,2,3],[4,5,6]", "data='a\\\\',b"]
 )
