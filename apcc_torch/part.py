@@ -43,8 +43,9 @@ class Configurable:
             cls.settings_type = type(name, (base,), {**place, "__doc__": base.__doc__})
         own: Any = cls.settings_type
         own.part = cls
-        if fields(own) and any(p.kind is p.VAR_KEYWORD for p in inspect.signature(cls.__init__).parameters.values()):
-            cls.__signature__ = _signature(cls, own)  # type: ignore[attr-defined]
+        if fields(own):
+            taken = any(p.kind is p.VAR_KEYWORD for p in inspect.signature(cls.__init__).parameters.values())
+            cls.__signature__ = _signature(cls, own if taken else Settings)  # type: ignore[attr-defined]
 
 
 class Part(Configurable, nn.Module):
@@ -212,6 +213,11 @@ def refuse_parameter(name: str, value: Any, instead: str) -> None:
     """Raises ConfigError where a value that constants are made of is a Parameter: it would seem to be trained."""
     if isinstance(value, nn.Parameter):
         raise ConfigError(f"{name} is not trained here: {instead}")
+
+
+def untrained(value: Tensor) -> Tensor:
+    """The value for constants that do not follow it: of a Parameter what it is now, of anything else itself."""
+    return value.detach() if isinstance(value, nn.Parameter) else value
 
 
 def row_tensors(module: nn.Module) -> dict[str, tuple[Tensor, int]]:

@@ -145,18 +145,19 @@ def read_part(values: Any, base: type, key: str, trust: Trust = Trust.ANY, defau
 def plain(settings: Any) -> Any:
     """Settings as plain values that `read` takes: mappings, lists, numbers and texts."""
     if is_dataclass(settings) and not isinstance(settings, type):
-        values = {}
-        for each in keys(type(settings)):
-            value = getattr(settings, each.name)
-            values[each.name] = plain(value)
-            if about_of(each).base is not None and value is not None:
-                values[each.name] = {"kind": name_of(part_of(value)), **values[each.name]}
-        return values
+        return {each.name: _plain_field(each, getattr(settings, each.name)) for each in keys(type(settings))}
     if isinstance(settings, Mapping):
         return {name: plain(value) for name, value in settings.items()}
     if isinstance(settings, list | tuple):
         return [plain(value) for value in settings]
     return settings.tolist() if isinstance(settings, Tensor) else settings
+
+
+def _plain_field(each: Field[Any], value: Any) -> Any:
+    """A field's plain value; of a part with its class."""
+    if about_of(each).base is None or value is None:
+        return plain(value)
+    return {"kind": name_of(part_of(value)), **plain(value)}
 
 
 def deviations(settings: Settings) -> dict[str, Any]:
@@ -166,7 +167,7 @@ def deviations(settings: Settings) -> dict[str, Any]:
         value, default = getattr(settings, each.name), default_of(each)
         if isinstance(value, Tensor) or value != default:
             nested = isinstance(value, Settings) and about_of(each).base is None
-            values[each.name] = deviations(value) if nested else plain(value)
+            values[each.name] = deviations(value) if nested else _plain_field(each, value)
     return values
 
 
@@ -178,10 +179,8 @@ def defaults(root: type[Settings]) -> dict[str, Any]:
         if default is MISSING:
             annotation = _types(root)[each.name]
             values[each.name] = defaults(cast(type[Settings], annotation)) if is_dataclass(annotation) else MUST
-        elif about_of(each).base is not None and default is not None:
-            values[each.name] = {"kind": name_of(part_of(default)), **plain(default)}
         else:
-            values[each.name] = plain(default)
+            values[each.name] = _plain_field(each, default)
     return values
 
 

@@ -14,19 +14,21 @@ from pathlib import Path
 
 import torch
 from run_settings import BANK, GENTLE, run_settings
-from sections import SECTIONS, listed
+from sections import SECTIONS, with_sections
 from tqdm import tqdm
 
+from apcc_torch.control.length_bank import LengthBankSettings
 from apcc_torch.experiments.dynamic import curves, dynamic_metrics, simulate, thinned
 from apcc_torch.files import write_json
 from apcc_torch.report.style import SERIES, dress, new_figure, save_figure
 
 BASE = ("experiment=dynamic_run_2_tuned", "experiment.subset=training", "experiment.duration=6.0", *GENTLE)
-TASK = ("residual.target=null", "adaptation.rate=0.1", "adaptation.dead_zone=0.002")
+TASK = ("residual=none", "adaptation.gamma=24.5", "adaptation.gain_scale=0.02", "adaptation.rate=0.1",
+        "adaptation.dead_zone=0.002")  # fmt: skip
 LAWS: dict[str, tuple[str, ...]] = {
     "fixed": ("controller.adaptive=false",),
-    "task error, partial": (*TASK, "adaptation.regressor=partial", "adaptation.gain_scale=0.02"),
-    "task error, total": (*TASK, "adaptation.regressor=estimator_aware", "adaptation.gain_scale=0.02"),
+    "task error, partial": ("adaptation=partial", *TASK),
+    "task error, total": ("adaptation=estimator_aware", *TASK),
     "joint": ("residual.target=sensors", "residual.angular_weight=0.03", "residual.memory=0.5",
               "residual.nominal_weight=0.05", "residual.elongation_weight=0.05", "residual.time_constant=0.3"),
     "curve": ("residual.time_constant=0.3", "residual.nominal_weight=0.02", "residual.elongation_weight=0.05"),
@@ -64,9 +66,9 @@ def studies() -> dict[str, tuple[str, tuple[str, ...], dict[float, tuple[str, ..
                   over(0.0, 0.05, 0.2, key="residual.elongation_weight")),
         "noise": ("position noise (mm), with 0.5 degrees", FEW, noises),
         "delay": ("delay of the sensors (ms)", FEW, delays),
-        "sensors": ("sensors", FEW, {float(k): (f"robot.sensors={v}",) for k, v in SENSORS.items()}),
+        "sensors": ("sensors", FEW, {float(k): (f"arm.sensors={v}",) for k, v in SENSORS.items()}),
         "sections": ("sections of the model", FEW,
-                     {float(k): (f"robot.rest_lengths={listed(v)}",) for k, v in SECTIONS.items()}),
+                     {float(k): with_sections(v) for k, v in SECTIONS.items()}),
         "payload": ("payload (kg)", FEW, {p: (f"experiment.payloads=[{p}]",) for p in (0.0, 0.25, 0.5)}),
     }  # fmt: skip
     return found
@@ -76,14 +78,13 @@ def measured(overrides: tuple[str, ...]) -> dict[str, float] | None:
     """The metrics of one setting; None where the law does not take it."""
     torch.set_num_threads(1)
     config = run_settings(*BASE, *overrides)
-    lengths, bank = config.robot.rest_lengths, config.residual.target == "bank"
-    if bank and len(config.robot.sensors) < len(lengths):
+    bank = isinstance(config.residual, LengthBankSettings)
+    if bank and len(config.arm.sensor_places()) < config.arm.n_sections:
         return None  # which a bank refuses
     # It goes where its models are; the other laws stay within a quarter of the nominal lengths.
-    config.adaptation.lower = None if bank else [0.75 * length for length in lengths]
-    config.adaptation.upper = None if bank else [1.25 * length for length in lengths]
-    config.experiment.setpoints = (config.experiment.setpoints or [])[:6]  # of which the training ones are three
-    log, arms = simulate(config, config.controller.adaptive, "")
+    bounds = config.bounds.changed(lower=None if bank else 0.75, upper=None if bank else 1.25)
+    few = config.experiment.changed(setpoints=(config.experiment.setpoints or ())[:6])  # three are training ones
+    log, arms = simulate(config.changed(bounds=bounds, experiment=few))
     thin = thinned(log, 60)
     wanted = ("shape_error_mean_mm", "shape_error_max_mm", "psi_mean_cm", "end_effector_error_end_mm", "diverged_rows")
     metrics = dynamic_metrics(curves(thin, arms), log.diverged_at)

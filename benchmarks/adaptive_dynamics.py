@@ -43,7 +43,7 @@ BASE = ("experiment=dynamic_run_2_tuned", "controller.null_gain=0.2", "controlle
 PAYLOADS = (0.0, 0.25, 0.5)
 CONTROLLERS: dict[str, tuple[str, ...]] = {
     "plain": (),
-    "stiff": ("plant.K_P=3000", "plant.K_I=4", "plant.K_D=20"),
+    "stiff": ("plant.pid.K_P=3000", "plant.pid.K_I=4", "plant.pid.K_D=20"),
     "feed-forward": ("dynamics_law=feedforward",),
     "tracking": ("dynamics_law=composite", "dynamics_law.prediction=false", "dynamics_law.tracking_gain=30"),
     "composite": ("dynamics_law=composite",),
@@ -62,7 +62,13 @@ CONDITIONS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     ),
     "rigidities believed 30 % low": (SOFT, ("feed-forward", "composite")),
     "friction believed half": (SLACK, ("feed-forward", "composite")),
-    "dry friction of 0.1": (("plant.friction=0.1",), ("plain", "composite")),
+    "dry friction of 0.1": (
+        (
+            "plant.transmission.friction=0.1",
+            "plant.transmission.slack=false",
+        ),
+        ("plain", "composite"),
+    ),
     "1 m per rad": (("feedback.angular_weight=1.0",), FEW),
 }
 """Condition -> (overrides, the controllers that are compared in it)."""

@@ -6,20 +6,22 @@ import argparse
 from collections.abc import Callable, Mapping
 
 import torch
-from apcc_torch.composition.typed import typed
 from hydra import compose, initialize_config_dir
 from tqdm import tqdm
 
 from apcc_torch.benchmark import compose_pairs
-from apcc_torch.composition.benchmark import BenchmarkConfig
-from apcc_torch.composition.schema import SimulateConfig
+from apcc_torch.composition.benchmark import BenchmarkSettings
+from apcc_torch.composition.run_settings import SimulateSettings
+from apcc_torch.composition.schema import typed
 from apcc_torch.conf_path import conf_path
 
 COMPILED = 'experiments.common=["compile=aot"]'
 
 
 def compare(
-    description: str | None, measured: Callable[[SimulateConfig, bool], Mapping[str, float]], titles: Mapping[str, str]
+    description: str | None,
+    measured: Callable[[SimulateSettings, bool], Mapping[str, float]],
+    titles: Mapping[str, str],
 ) -> None:
     """Prints a line a pair, with what both controllers reach; the command line gives settings of the benchmark.
 
@@ -33,7 +35,7 @@ def compare(
     settings = parser.parse_args().settings
     torch.set_num_threads(1)
     with initialize_config_dir(conf_path(), version_base="1.3"):
-        pairs = compose_pairs(typed(compose("benchmark", [COMPILED, *settings]), BenchmarkConfig))
+        pairs = compose_pairs(typed(compose("benchmark", [COMPILED, *settings]), BenchmarkSettings))
     runs = {f"{name}, {run}": both for name, comparison in pairs.items() for run, both in comparison.items()}
     lines = [f"{'':<12}" + "".join(f"{title:>26}" for title in titles.values())]
     for name, both in tqdm(runs.items(), desc="comparisons"):

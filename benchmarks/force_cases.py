@@ -10,13 +10,14 @@ from torch import Tensor
 
 from apcc_torch import StateFeedback
 from apcc_torch.composition.build import Builder
-from apcc_torch.composition.schema import SimulateConfig
+from apcc_torch.composition.run_settings import SimulateSettings
 from apcc_torch.estimation.external_force import BalanceNoise, ForceBalance, Posture
 from apcc_torch.estimation.load_from_shape import LoadFromShape
 from apcc_torch.experiments.dynamic import simulate
 from apcc_torch.model.abscissae import decouple
 from apcc_torch.model.affine import AffineBackbone
-from apcc_torch.model.dynamics import EquationOfMotion, SoftArmDynamics
+from apcc_torch.model.dynamics import SoftArmDynamics
+from apcc_torch.model.equation_of_motion import EquationOfMotion
 from apcc_torch.model.kinematic_model import KinematicModel
 from apcc_torch.model.loads import Loads
 from apcc_torch.model.static_body import StaticBody
@@ -54,7 +55,7 @@ def case(section: int, size: float, how: str) -> str:
     return f"{ABSCISSAE[section]:g} m, {size:g} N, tare {how}"
 
 
-def settings(*overrides: str) -> SimulateConfig:
+def settings(*overrides: str) -> SimulateSettings:
     """The settings of a run of section V-B under noisy sensors."""
     return run_settings("sensors=mocap", *overrides)
 
@@ -131,7 +132,7 @@ def held(build: Builder, y: Tensor, q: Tensor, touch: Tensor, generator: torch.G
     """Readings (1, R, k, 4, 4) and tendon forces (R, 9) of arms at rest with tendons held at y, touched."""
     plant = build.plant(torch.zeros((), dtype=D))
     rest = equilibrium(
-        plant.dynamics, routing=build.routing("coupled"), tendon_lengths=y, loads=Loads(section_wrenches=touch), q=q,
+        plant.dynamics, routing=build.routing(), tendon_lengths=y, loads=Loads(section_wrenches=touch), q=q,
         tolerance=1e-9,
     )  # fmt: skip
     if rest.u is None or not bool(rest.converged.all()):
@@ -146,11 +147,11 @@ def _noisy(value: Tensor, noise: Setting, generator: torch.Generator) -> Tensor:
 
 def balance(build: Builder, model: KinematicModel, stiffer: float = 1.0) -> ForceBalance:
     """The balance of forces on a model that knows the arm's material, or takes it for stiffer, not its six sections."""
-    p = build.config.plant
+    p = build.config.arm
     rigidity = (stiffer * p.stiffness_reference * k for k in (p.axial_stiffness, p.bending_stiffness))
     body = StaticBody(model, p.mass / 0.6, *rigidity)
     feedback = StateFeedback(model, build.sensors_at(), angular_weight=0.03, max_iterations=40)
-    return ForceBalance(body, build.routing("coupled"), feedback, MEAN_NOISE, damping_ratio=p.damping_ratio)
+    return ForceBalance(body, build.routing(), feedback, MEAN_NOISE, damping_ratio=p.damping_ratio)
 
 
 def affine(build: Builder) -> AffineBackbone:
@@ -169,12 +170,12 @@ def posture(b: ForceBalance, T: Tensor, u: Tensor | None, pi: Tensor) -> Posture
 
 def finer(build: Builder, own: bool = False) -> LoadFromShape:
     """Nine sections, three between neighbouring racks, under tendons of known length; or the true arm's own six."""
-    p = build.config.plant
+    p = build.config.arm
     if own:
-        lengths = build.vector("plant.lengths", p.lengths)
+        lengths = build.true_lengths()
     else:
         ends = torch.cat((torch.zeros(1, dtype=D), build.sensors_at()))
         lengths = (ends.diff() / 3.0).repeat_interleave(3)
     axial, bending = scaled_stiffness(lengths, p.stiffness_reference, p.axial_stiffness, p.bending_stiffness)
     arm = SoftArmDynamics(lengths, p.mass / 0.6 * lengths, axial, bending, base_rotation=build.base_rotation())
-    return LoadFromShape(arm, build.routing("coupled"), build.sensors_at())
+    return LoadFromShape(arm, build.routing(), build.sensors_at())

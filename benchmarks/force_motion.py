@@ -14,8 +14,6 @@ from apcc_torch.composition.build import Builder
 from apcc_torch.control.trajectory import SetPoint
 from apcc_torch.estimation.external_force import Posture
 from apcc_torch.estimation.momentum_observer import MomentumObserver
-from apcc_torch.model.dynamics import SoftArmDynamics
-from apcc_torch.model.stiffness import scaled_stiffness
 from apcc_torch.native.compiled import compiled
 from apcc_torch.simulation.dynamic import ClosedLoop, DynamicLog
 from apcc_torch.simulation.plant import Plant
@@ -63,10 +61,8 @@ def run(compile: str) -> Motion:
 
     def loop(forces: Tensor) -> ClosedLoop:
         plant = build.plant(torch.zeros(len(rows), dtype=D))
-        touched = Plant(
-            TouchedArm(plant.dynamics, forces), build.routing(p.layout), plant.pid, plant.payload, p.tendon_damping
-        )
-        return ClosedLoop(touched, build.controller(), build.pose_sensors(), SetPoint(rows), DT, p.substeps)
+        touched = Plant(TouchedArm(plant.dynamics, forces), plant.routing, plant.pid, plant.payload, p)
+        return ClosedLoop(touched, build.controller(), build.pose_sensors(), SetPoint(rows), DT)
 
     loops = [loop(free), loop(touch)]
     steps = [compiled(one, one.blank(), compile, len(rows)) for one in loops]
@@ -88,13 +84,8 @@ def run(compile: str) -> Motion:
 def signals(motion: Motion) -> dict[str, Tensor]:
     """Generalized forces (T, R, 9) that show a contact: the balance at rest, and the momentum observer's r."""
     build = Builder(settings(*CONTROLLERS["fixed"]))
-    p = build.config.plant
-    pi = build.rest_lengths()
-    axial, bending = scaled_stiffness(pi, p.stiffness_reference, p.axial_stiffness, p.bending_stiffness)
-    arm = SoftArmDynamics(
-        pi, p.mass / 0.6 * pi, axial, bending, p.damping_ratio, base_rotation=build.base_rotation()
-    )  # fmt: skip
-    observer = MomentumObserver(arm, build.routing(p.layout), gain=10.0, tendon_damping=p.tendon_damping)
+    pi, arm = build.rest_lengths(), build.arm.dynamics()
+    observer = MomentumObserver(arm, build.routing(), gain=10.0, tendon_damping=build.config.plant.tendon_damping)
     b = balance(build, build.backbone())
     velocity_filter = SavitzkyGolay(15, 2)
     T, R, _ = motion.q_bar.shape

@@ -12,7 +12,7 @@ from dataclasses import replace
 
 from comparisons import compare
 
-from apcc_torch.composition.schema import SimulateConfig
+from apcc_torch.composition.run_settings import SimulateSettings
 from apcc_torch.experiments.dynamic import curves, dynamic_metrics, simulate, thinned
 
 DURATION = 180.0
@@ -25,7 +25,7 @@ TITLES = {f"tip_{time:.0f}": f"tip after {time:.0f} s, mm" for time in TIMES} | 
 }
 
 
-def measured(config: SimulateConfig, adaptive: bool) -> dict[str, float]:
+def measured(config: SimulateSettings, adaptive: bool) -> dict[str, float]:
     """Tip errors at the times, and the metrics of the whole run."""
     outcome = simulate(replace(config, experiment=replace(config.experiment, duration=DURATION)), adaptive)
     c = curves(thinned(outcome.log), outcome.arms)

@@ -14,12 +14,12 @@ from pathlib import Path
 import torch
 from page import between
 from run_settings import BANK, GENTLE, run_settings
-from sections import SECTIONS, listed
+from sections import SECTIONS, with_sections
 from timing import timed_steps
 from tqdm import tqdm
 
 from apcc_torch.composition.build import Builder
-from apcc_torch.composition.schema import SimulateConfig
+from apcc_torch.composition.run_settings import SimulateSettings
 from apcc_torch.control.controller import APCCController
 from apcc_torch.control.step_io import Measurement, Target
 from apcc_torch.experiments.dynamic import curves, dynamic_metrics, simulate, thinned
@@ -31,7 +31,7 @@ MODELS: dict[str, tuple[str, ...]] = {
     "+ torsion": ("model=constant_strain",),
     "+ torsion, shear": (
         "model=constant_strain",
-        "model.settings.strains=[bend_x,bend_y,torsion,shear_x,shear_y,elongation]",
+        "model.strains=[bend_x,bend_y,torsion,shear_x,shear_y,elongation]",
     ),
     "affine curvature": ("model=affine",),
 }  # fmt: skip
@@ -55,7 +55,7 @@ LOST = 600.0  # mm, the arm's length: beyond it the estimate has run away
 START, END = "<!-- table: python benchmarks/models.py -->", "<!-- end of table -->"
 
 
-def settings(model: str, sections: int, controller: str) -> SimulateConfig:
+def settings(model: str, sections: int, controller: str) -> SimulateSettings:
     """One setting's configuration."""
     lengths = SECTIONS[sections]
     # A bank goes where its models are.
@@ -64,9 +64,9 @@ def settings(model: str, sections: int, controller: str) -> SimulateConfig:
         *POSES,
         *CONTROLLERS[controller],
         *MODELS[model],
-        f"robot.rest_lengths={listed(lengths)}",
-        f"adaptation.lower={'null' if bank else listed(lengths, 0.75)}",
-        f"adaptation.upper={'null' if bank else listed(lengths, 1.25)}",
+        *with_sections(lengths),
+        f"bounds.lower={'null' if bank else 0.75}",
+        f"bounds.upper={'null' if bank else 1.25}",
     )
 
 

@@ -17,8 +17,8 @@ from run_settings import run_settings
 from torch import Tensor
 from tqdm import tqdm
 
-from apcc_torch.composition.batch import stacked
 from apcc_torch.composition.build import Builder
+from apcc_torch.composition.stacking import stacked
 from apcc_torch.estimation.state_feedback import StateFeedback
 from apcc_torch.experiments.dynamic import curves, one_of, simulate, thinned
 from apcc_torch.model.abscissae import decouple

@@ -20,7 +20,8 @@ from hydra import compose, initialize_config_dir
 from hydra.core.config_store import ConfigStore
 
 from apcc_torch.composition.build_realtime import RealtimeBuilder
-from apcc_torch.composition.realtime import RealtimeSettings, composed, schema
+from apcc_torch.composition.realtime import RealtimeSettings
+from apcc_torch.composition.schema import schema, typed
 from apcc_torch.conf_path import conf_path
 from apcc_torch.files import write_json
 from apcc_torch.hardware.log import RunLog
@@ -30,7 +31,7 @@ from apcc_torch.hardware.setup import Setup
 from apcc_torch.hardware.summary import STAGES, Summary
 from apcc_torch.hardware.view import LiveView
 
-ConfigStore.instance().store(name="realtime_schema", node=schema())
+ConfigStore.instance().store(name="realtime_schema", node=schema(RealtimeSettings))
 
 NEVER = 1e6
 """A limit that no run reaches: the loop is timed to its end however late it is."""
@@ -56,7 +57,7 @@ def settings(rate: float, arguments: argparse.Namespace) -> RealtimeSettings:
         *arguments.overrides,
     ]
     with initialize_config_dir(conf_path(), version_base="1.3"):
-        return composed(compose("realtime", overrides))
+        return typed(compose("realtime", overrides), RealtimeSettings)
 
 
 def measure(rate: float, arguments: argparse.Namespace) -> dict[str, float]:

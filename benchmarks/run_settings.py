@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-from apcc_torch.composition.typed import typed
-from hydra import compose, initialize_config_dir
-from hydra.core.config_store import ConfigStore
-
-from apcc_torch.composition.schema import SimulateConfig
-from apcc_torch.conf_path import conf_path
+from apcc_torch import compose
+from apcc_torch.composition.run_settings import SimulateSettings
 
 GENTLE = ("controller.null_gain=0.3", "controller.epsilon=0.005")
 """A null-space term with a kink at zero: what the tables of models, laws and forces were taken with."""
@@ -15,12 +11,11 @@ BANK = ("residual=bank", "residual.nominal_weight=0.002", "residual.elongation_w
 """A bank of models on section V-B's arm."""
 
 
-def run_settings(*overrides: str) -> SimulateConfig:
+def run_settings(*overrides: str) -> SimulateSettings:
     """The settings of one run.
 
     Raises:
         ConfigError: A value is missing or of the wrong type.
     """
-    ConfigStore.instance().store(name="simulate_schema", node=SimulateConfig)
-    with initialize_config_dir(conf_path(), version_base="1.3"):
-        return typed(compose("simulate", ["progress=false", *overrides]), SimulateConfig)
+    settings: SimulateSettings = compose("progress=false", *overrides).settings
+    return settings

@@ -16,14 +16,14 @@ import torch
 from run_settings import BANK, run_settings
 from tqdm import tqdm
 
-from apcc_torch.composition.batch import stacked
+from apcc_torch.composition.stacking import stacked
 from apcc_torch.experiments.dynamic import curves, dynamic_metrics, one_of, simulate, thinned
 from apcc_torch.files import write_json
 from apcc_torch.report.style import BLUE, GREEN, ORANGE, VERMILION, dress, from_zero, legend, new_figure, save_figure
 
 GAINS = (0.5, 1.0, 2.0, 4.0, 8.0)
 ARMS = {"arm 1": "dynamic_run_2", "arm 2": "robot_2"}
-UNBOUND = ("adaptation.lower=null", "adaptation.upper=null")
+UNBOUND = ("bounds.lower=null", "bounds.upper=null")
 CONTROLLERS = {
     "fixed": (("controller.adaptive=false",), VERMILION),
     "curve": (

@@ -15,7 +15,7 @@ import torch
 from comparisons import compare
 from setpoints import setpoints
 
-from apcc_torch.composition.schema import SimulateConfig
+from apcc_torch.composition.run_settings import SimulateSettings
 from apcc_torch.experiments.dynamic import metrics, simulate
 
 SEEDS = (1, 2)
@@ -28,9 +28,9 @@ KEPT = {
 }
 
 
-def measured(config: SimulateConfig, adaptive: bool) -> dict[str, float]:
+def measured(config: SimulateSettings, adaptive: bool) -> dict[str, float]:
     """The metrics on the unseen set-points; the named one, which every seed has, is left out."""
-    named, lengths = tuple((config.experiment.setpoints or [])[0]), tuple(config.robot.rest_lengths)
+    named, lengths = tuple((config.experiment.setpoints or [])[0]), tuple(config.arm.lengths)
     points = torch.cat([setpoints(lengths, named, seed=seed)[1:] for seed in SEEDS])
     experiment = replace(config.experiment, setpoints=points.tolist())
     return metrics(simulate(replace(config, experiment=experiment), adaptive))

@@ -32,7 +32,7 @@ DT, STEPS = 0.01, 600
 
 def reach(backbone: PCCBackbone, cost: ClearanceCost, avoiding: bool) -> Tensor:
     """Configurations (STEPS, 9) on the way from the hanging arm to the goal."""
-    inverse_kinematics = InverseKinematics(bend_rate=2.0, length_rate=0.2)
+    inverse_kinematics = InverseKinematics(null_gain=0.05, bend_rate=2.0, length_rate=0.2)
     stack = TaskStack([Task("position", gain=1.5)])
     q = torch.zeros(9, dtype=torch.float64)
     way = []

@@ -18,6 +18,7 @@ from apcc_torch import (
     SavitzkyGolay,
     StateFeedback,
 )
+from apcc_torch.control.length_bounds import LengthBounds
 from apcc_torch.control.trajectory import SineTrajectory
 from apcc_torch.model.backbone import HANGING
 from apcc_torch.report.backbone_drawing import marker_positions
@@ -41,7 +42,8 @@ def run(backbone: PCCBackbone, adaptive: bool) -> KinematicLog:
         StateFeedback(backbone, SENSORS),
         SavitzkyGolay(window=15, order=2),
         InverseKinematics(K=1.0, null_gain=1.0),
-        AdaptiveLaw(3, torch.tensor([9.0, 4.25, 3.5], dtype=torch.float64), reach=0.6),
+        AdaptiveLaw(3, [9.0, 4.25, 3.5]),
+        bounds=LengthBounds(TRUE, SENSORS, lower=None, upper=None),
         adaptive=adaptive,
         velocity="commanded",
     )

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor, nn
 
-from apcc_torch import AdaptiveLaw, APCCController, InverseKinematics, PCCBackbone, SavitzkyGolay, StateFeedback
+from apcc_torch import APCCController, InverseKinematics, PCCBackbone, SavitzkyGolay, StateFeedback
 from apcc_torch.control.pid import TendonPID
 from apcc_torch.control.trajectory import SetPoint
 from apcc_torch.model.backbone import HANGING
@@ -136,17 +136,16 @@ def error_in_motion(points: SetPoints, routing: TendonRouting, residual: Residua
         BACKBONE,
         StateFeedback(BACKBONE, RACKS, angular_weight=0.1),
         SavitzkyGolay(15, 2),
-        InverseKinematics(1.8),
-        AdaptiveLaw(3, 1.0),
-        routing,
+        InverseKinematics(1.8, null_gain=0.05),
+        routing=routing,
         adaptive=False,
         bend_bound=3.0,
         elongation_bound=0.3,
     )
     payload = torch.zeros(len(points.x), dtype=D)
     pid = TendonPID(K_P=TENDON_STIFFNESS, K_I=1.0, K_D=5.0)
-    plant = Plant(dynamics(), LAYOUTS["independent"], pid, payload, tendon_damping=200.0)
-    settings = DynamicSettings(duration, control_rate=50.0, substeps=4, settle=min(duration, 2.0))
+    plant = Plant(dynamics(), LAYOUTS["independent"], pid, payload, substeps=4, settle=min(duration, 2.0))
+    settings = DynamicSettings(duration=duration, control_rate=50.0)
     log = simulate_dynamic(plant, controller, PoseSensors(), SetPoint(points.x), MODEL, settings)
     if bool((log.diverged_at >= 0).any()):
         raise RuntimeError("an arm diverged")

@@ -14,7 +14,9 @@ from pathlib import Path
 import torch
 from torch import Tensor, nn
 
-from apcc_torch import AdaptiveLaw, InverseKinematics, PCCBackbone, SavitzkyGolay, StateFeedback, Target
+from apcc_torch import InverseKinematics, PCCBackbone, SavitzkyGolay, StateFeedback, Target
+from apcc_torch.control.adaptation import NormalisedLaw
+from apcc_torch.control.length_bounds import LengthBounds
 from apcc_torch.control.task_controller import TaskController
 from apcc_torch.control.tasks import Task, TaskTarget, shortest_turn
 from apcc_torch.lie import so3
@@ -57,9 +59,8 @@ def run(backbone: PCCBackbone, what: str | None, duration: float) -> KinematicLo
         StateFeedback(backbone, SENSORS),
         SavitzkyGolay(window=15, order=2),
         InverseKinematics(K=2.0, null_gain=1.0),
-        AdaptiveLaw(
-            3, torch.tensor([90.0, 42.5, 35.0], dtype=torch.float64), normalisation=10.0, dead_zone=6e-4, reach=0.6
-        ),
+        NormalisedLaw(3, gamma=[90.0, 42.5, 35.0]),
+        bounds=LengthBounds(TRUE, SENSORS, lower=None, upper=None),
         velocity="commanded",
         tasks=[] if what is None else [Task(what, gain=2.0)],
     )

@@ -18,7 +18,9 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from apcc_torch import AdaptiveLaw, APCCController, InverseKinematics, PCCBackbone, StateFeedback
+from apcc_torch import APCCController, InverseKinematics, PCCBackbone, StateFeedback
+from apcc_torch.control.adaptation import NormalisedLaw
+from apcc_torch.control.length_bounds import LengthBounds
 from apcc_torch.control.step_io import ControllerState, Measurement
 from apcc_torch.control.trajectory import SineTrajectory
 from apcc_torch.estimation.soft_window import SoftWindow
@@ -60,22 +62,13 @@ BY_HAND = Gains(
 
 def controller(gains: Gains) -> APCCController:
     """The controller of section V-A, its gains with their graph."""
-    law = AdaptiveLaw(
-        3,
-        gains.gamma,
-        lower=0.6 * TRUE,
-        upper=1.4 * TRUE,
-        normalisation=gains.normalisation,
-        dead_zone=6e-4,
-        reach=0.6,
-    )
     return APCCController(
         BACKBONE,
         StateFeedback(BACKBONE, SENSORS),
         SoftWindow(gains.window, order=2),
         InverseKinematics(gains.K, null_gain=gains.null_gain),
-        law,
-        velocity="measured",
+        NormalisedLaw(3, gains.gamma, normalisation=gains.normalisation),
+        bounds=LengthBounds(TRUE, SENSORS),
     )
 
 

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
+from apcc_torch.control.adaptation import NormalisedLaw
 from apcc_torch.control.adaptive_dynamics import AdaptiveDynamics
 from apcc_torch.control.clearance import ClearanceCost
 from apcc_torch.control.composite_controller import CompositeController
@@ -27,6 +28,7 @@ from apcc_torch.estimation.load_from_shape import LoadFromShape
 from apcc_torch.estimation.momentum_observer import MomentumObserver
 from apcc_torch.estimation.pose_filter import PoseFilter
 from apcc_torch.estimation.savitzky_golay import SavitzkyGolay
+from apcc_torch.estimation.sensor_gate import SensorGate
 from apcc_torch.estimation.soft_window import SoftWindow
 from apcc_torch.model.affine import AffineBackbone
 from apcc_torch.model.backbone import PCCBackbone
@@ -36,6 +38,8 @@ from apcc_torch.model.friction import TendonTransmission
 from apcc_torch.model.mount import MountedArm, RigidMount
 from apcc_torch.model.static_body import StaticBody
 from apcc_torch.part import Part
+from apcc_torch.simulation.dynamic import ClosedLoop
+from apcc_torch.simulation.kinematic import ExactLoop, FeedbackLoop
 from apcc_torch.simulation.plant import Plant
 from apcc_torch.simulation.sensors import PoseSensors
 from parts import (
@@ -51,14 +55,18 @@ from parts import (
     controller,
     curve,
     dynamics,
+    exact,
     eye,
     feedback,
     filtered,
+    judged,
     kinematics,
     law,
     law_step,
     learnt,
     lengths,
+    looped,
+    measured,
     moved,
     near,
     number,
@@ -165,6 +173,12 @@ CASES: dict[str, Case] = {
         lambda: {"base_rotation": base(), "abscissae": sensors()},
         lambda: {"samples": 5, "tangents": "spline"},
     ),
+    "SensorGate": Case(
+        lambda **t: SensorGate(**{"abscissae": sensors(), **t}),
+        judged,
+        lambda: {"abscissae": sensors(), "max_bend": numbers(1.0, 1.1, 1.2), "max_twist": numbers(0.5, 0.5, 0.6)},
+        lambda: {"reach": 0.1},
+    ),
     "ForceBalance": Case(
         balance,
         lambda of: (of.imbalance(posture()), of.force(posture()).covariance),
@@ -203,6 +217,12 @@ CASES: dict[str, Case] = {
         law_step,
         lambda: {"gamma": eye(2), **scalars(rate=1e-4, normalisation=2.0)},
         lambda: {"regressor": "partial", "dead_zone": 1.0},
+    ),
+    "NormalisedLaw": Case(
+        lambda **t: NormalisedLaw(2, **{"gamma": 3.0 * eye(2), "dead_zone": 0.0, **t}),
+        law_step,
+        lambda: {"gamma": eye(2)},
+        lambda: {"normalisation": 1.0},
     ),
     "LengthBounds": Case(
         lambda **t: LengthBounds(**{"nominal": lengths(), "abscissae": sensors(), **t}),
@@ -300,6 +320,28 @@ CASES: dict[str, Case] = {
         lambda **t: Plant(dynamics(), routing(), TendonPID(), **{"payload": numbers(0.1, 0.2), **t}),
         advanced,
         lambda: {"payload": numbers(0.1, 0.2), **scalars(tendon_damping=100.0)},
+    ),
+    "ExactLoop": Case(
+        lambda **t: ExactLoop(controller(), trajectory=SetPoint(some(3)), dt=0.1, **{"pi": lengths(), **t}),
+        exact,
+        lambda: {"pi": lengths()},
+    ),
+    "FeedbackLoop": Case(
+        lambda **t: FeedbackLoop(controller(), trajectory=SetPoint(some(3)), dt=0.1, **{"pi": lengths(), **t}),
+        measured,
+        lambda: {"pi": lengths()},
+    ),
+    "ClosedLoop": Case(
+        lambda **t: ClosedLoop(
+            Plant(dynamics(), routing(), TendonPID(), numbers(0.1, 0.2), substeps=1),
+            controller(),
+            PoseSensors(),
+            SetPoint(some(3)),
+            0.01,
+            **t,
+        ),
+        looped,
+        lambda: {"abscissae": 0.9 * sensors()},
     ),
     "APCCController": Case(
         lambda **t: controller(pose_filter=PoseFilter(0.1, 0.1), integral=TaskIntegral(), **t),

@@ -22,6 +22,7 @@ from apcc_torch.estimation.external_force import ForceBalance, Posture
 from apcc_torch.estimation.pose_filter import PoseFilter
 from apcc_torch.estimation.savitzky_golay import SavitzkyGolay
 from apcc_torch.estimation.sensor_curve import SensorCurve
+from apcc_torch.estimation.sensor_gate import SensorGate
 from apcc_torch.estimation.state_feedback import StateFeedback
 from apcc_torch.model.abscissae import decouple
 from apcc_torch.model.backbone import HANGING, PCCBackbone
@@ -29,6 +30,8 @@ from apcc_torch.model.dynamics import SoftArmDynamics
 from apcc_torch.model.kinematic_model import KinematicModel
 from apcc_torch.model.static_body import StaticBody
 from apcc_torch.model.tendons import TendonRouting
+from apcc_torch.simulation.dynamic import ClosedLoop
+from apcc_torch.simulation.kinematic import ExactLoop, ExactState, FeedbackLoop, FeedbackState
 from apcc_torch.simulation.plant import Plant
 from apcc_torch.simulation.sensors import Draws, PoseSensors
 
@@ -231,6 +234,25 @@ def asked(of: Task) -> Any:
 def advanced(of: Plant) -> Any:
     now = of.straight((2,))
     return of.advance(now, TendonReference(now.z + 1e-3, now.z), 0.005, 0).arm
+
+
+def judged(of: SensorGate) -> Any:
+    state = of.initial_state(poses(), number(0.0))
+    return of(state, poses(), torch.ones(3, dtype=torch.bool, **WHERE), number(1.0))[1]
+
+
+def exact(of: ExactLoop) -> Any:
+    return of(ExactState(q(), lengths()), number(0.3))[0]
+
+
+def measured(of: FeedbackLoop) -> Any:
+    later = of(FeedbackState(q(), of.controller.initial_state(q(), lengths())), number(0.3))[0]
+    return later.q, later.controller.pi_hat
+
+
+def looped(of: ClosedLoop) -> Any:
+    now = of.start(of.plant.straight((2,)), lengths())
+    return of(now, number(0.3), torch.tensor(0, **WHERE), Draws(None, None))[0].plant.arm
 
 
 def sensed(of: PoseSensors) -> Any:

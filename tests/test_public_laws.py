@@ -26,6 +26,7 @@ from apcc_torch import (
     decouple,
     shape_error,
 )
+from apcc_torch.control.length_bounds import LengthBounds
 from apcc_torch.control.task_integral import TaskIntegral
 from apcc_torch.estimation.pose_filter import PoseFilter, PoseFilterState
 from apcc_torch.lie import se3
@@ -120,14 +121,23 @@ def smooth_state(q: Tensor, lengths: Tensor, dtype: torch.dtype, rng: torch.Gene
 
 
 def controller(**parts: Any) -> APCCController:
-    law = AdaptiveLaw(3, 0.5, lower=PI - 0.05, upper=PI + 0.1, rate=0.5, reach=0.5)
+    law = AdaptiveLaw(3, 0.5, rate=0.5)
+    end = torch.tensor([0.5], dtype=torch.float64)
+    bounds = LengthBounds(PI, end, lower=(PI - 0.05) / PI, upper=(PI + 0.1) / PI)
     null = {"null_weights": 2.0 * PI, "null_bends": 0.1 * PI}
-    ik = InverseKinematics(bend_rate=2.0, length_rate=0.5, **null)
-    return APCCController(BACKBONE, feedback("pose"), FILTER, ik, law, bend_bound=1.0, elongation_bound=0.1, **parts)
+    ik = InverseKinematics(null_gain=0.05, bend_rate=2.0, length_rate=0.5, **null)
+    parts = {"bounds": bounds, "bend_bound": 1.0, "elongation_bound": 0.1, **parts}
+    return APCCController(BACKBONE, feedback("pose"), FILTER, ik, law, **parts)
 
 
 CONTROLLER = controller()
 SMOOTH_CONTROLLER = controller(pose_filter=PoseFilter(0.1, 0.05, delay=2), integral=TaskIntegral(1.0, 0.1))
+
+
+def adapted(pi_hat: Tensor, Y: Tensor, e: Tensor, dt: Tensor) -> Tensor:
+    (law,) = CONTROLLER.laws
+    assert isinstance(law, AdaptiveLaw) and CONTROLLER.bounds is not None
+    return CONTROLLER.bounds(law(pi_hat, Y, e, dt), law.metric)
 
 
 def control_step(of: APCCController) -> Op:
@@ -168,7 +178,7 @@ LAWS: dict[str, Law] = {
     "mapping_error": Law(lambda q, L0, x: mapping_error(BACKBONE, q, L0, x), make("q", "L0", "x"), (0, 1, 2)),
     "velocity_filter": Law(FILTER, make("filter", "q", "time"), (1, 2), 10.0),
     "inverse_kinematics": Law(CONTROLLER.inverse_kinematics, make("J", "x", "x", "q"), (0, 1, 2, 3), 10.0),
-    "adaptive_law": Law(CONTROLLER.law, make("L0", "Y", "x", "time"), (0, 1, 2, 3)),
+    "adaptive_law": Law(adapted, make("L0", "Y", "x", "time"), (0, 1, 2, 3)),
     "total_regressor": Law(CONTROLLER.regressor, make("q", "qdot", "L0"), (0, 1, 2), 10.0),
     "controller": Law(control_step(CONTROLLER), make("state", "T", "time", "x", "x", "x"), (1, 2, 3, 4, 5), 10.0),
     "smooth_controller": Law(

@@ -1,8 +1,9 @@
-"""Settings that are a number, or one number a row: checked alike, and each row as if it were alone."""
+"""Settings: ranges and names checked alike for all, and those that may differ by row as if each row were alone."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from dataclasses import Field, fields
 from typing import Any
 
 import pytest
@@ -10,24 +11,30 @@ import torch
 from torch import Tensor
 
 from apcc_torch.control.adaptation import AdaptiveLaw
+from apcc_torch.control.controller import APCCController
 from apcc_torch.control.inverse_kinematics import InverseKinematics
-from apcc_torch.control.length_bank import LengthBank, candidates
-from apcc_torch.control.pid import TendonPID
+from apcc_torch.control.length_bank import LengthBank, candidates, lists_of
+from apcc_torch.control.length_law import LengthLaw
+from apcc_torch.control.pid import TendonPID, ramp
 from apcc_torch.control.residual_adaptation import ResidualLaw
+from apcc_torch.control.step_io import Measurement, Target
 from apcc_torch.control.task_integral import TaskIntegral
 from apcc_torch.control.trajectory import SineTrajectory
-from apcc_torch.errors import ValueRangeError
+from apcc_torch.errors import ConfigError, ValueRangeError
 from apcc_torch.estimation.pose_filter import PoseFilter
 from apcc_torch.estimation.savitzky_golay import SavitzkyGolay
-from apcc_torch.estimation.sensor_curve import SensorCurve
 from apcc_torch.estimation.state_feedback import StateFeedback
 from apcc_torch.lie import se3
 from apcc_torch.model.abscissae import decouple
+from apcc_torch.model.arm import Arm
 from apcc_torch.model.backbone import PCCBackbone
-from apcc_torch.part import hold
-from apcc_torch.settings import aligned, check_setting, is_used
+from apcc_torch.part import Configurable, part_of
+from apcc_torch.settings import About, Settings, about_of, aligned, check_setting, default_of, is_on, names, resolved
+from apcc_torch.simulation.plant import Plant, PlantSettings
 from apcc_torch.simulation.sensors import PoseSensors
 from arms import HANGING_BASE, PI
+from every_class import needed, settings_classes, subclasses
+from law_steps import law_step
 
 ROWS = 3
 
@@ -51,17 +58,71 @@ def test_a_number_and_a_row_are_refused_alike(bad: float) -> None:
     assert check_setting("gain", good, zero=True) is good and check_setting("gain", 2.0) == 2.0
 
 
-def test_held_rows_move_with_their_module_and_numbers_stay_numbers() -> None:
-    module = torch.nn.Module()
-    hold(module, a=rows(1.0, 2.0), b=3.0, c=None)
-    module.to(torch.float32)
-    assert module.a.dtype == torch.float32 and dict(module.named_buffers()).keys() == {"a"}
-    assert (module.b, module.c) == (3.0, None)
-
-
 def test_aligned_puts_the_rows_before_what_they_scale() -> None:
     assert aligned(2.0, 2) == 2.0 and aligned(rows(1.0, 2.0), 2).shape == (2, 1, 1)
-    assert is_used(rows(0.0, 1.0)) and not is_used(rows(0.0, 0.0)) and is_used(0.5) and not is_used(0.0)
+    # Rows share the branches of a step, so a tensor of zeros takes the same as one of others.
+    assert is_on(rows(0.0, 1.0)) and is_on(rows(0.0, 0.0)) and is_on(0.5) and not is_on(0.0)
+
+
+SETTINGS = settings_classes()
+
+
+def numbers_of(kind: type[Settings]) -> Iterator[tuple[Field[Any], About]]:
+    """The settings that are a number, or one a row."""
+    return ((each, about_of(each)) for each in fields(kind) if about_of(each).rows == "number")
+
+
+NUMBERS = [(kind, each.name) for kind in SETTINGS for each, _ in numbers_of(kind)]
+
+
+@pytest.mark.parametrize(("kind", "name"), NUMBERS, ids=[f"{kind.__name__}.{name}" for kind, name in NUMBERS])
+def test_a_range_holds_for_a_number_and_for_every_row(kind: type[Settings], name: str) -> None:
+    each, about = next((each, about) for each, about in numbers_of(kind) if each.name == name)
+    default, whole = default_of(each), str(each.type).startswith("int")
+    good = [value for value in (default, 1, 3, 0.5) if value is not None]
+    good = next(value for value in good if inside(about, value))
+    tried = (-1, 0) if whole else (-1.0, 0.0, 1.0, 1e9, float("inf"), float("-inf"), float("nan"))
+    bad = [value for value in tried if not inside(about, value)]
+    assert bad
+    others = needed(kind)
+    for value in bad:
+        for setting in (value, torch.tensor([good, value])):
+            with pytest.raises(ValueRangeError, match=f"^{name} must be .*, got {value}"):
+                kind(**{**others, name: setting})
+    both = torch.tensor([good, good])
+    assert getattr(kind(**{**others, name: both}), name) is both
+    with pytest.raises(ConfigError, match=f"^{name} must be a(n?) (whole )?number, got 'much'"):
+        kind(**{**others, name: "much"})
+
+
+def inside(about: About, value: float) -> bool:
+    try:
+        about.check("value", value)
+    except ValueRangeError:
+        return False
+    return True
+
+
+@pytest.mark.parametrize("kind", SETTINGS, ids=lambda kind: kind.__name__)
+def test_an_unknown_name_is_refused_with_what_may_be_meant(kind: type[Settings]) -> None:
+    known = names(kind)
+    longest = max(known, key=len)
+    misspelt = f"{longest}x"
+    with pytest.raises(ConfigError, match=rf"^\w* ?has no setting '{misspelt}'; did you mean {longest}\?$"):
+        resolved(kind, (), {misspelt: 1})
+    with pytest.raises(ConfigError, match=f"has no setting 'qqqq'; it has {', '.join(known)}$"):
+        resolved(kind, (), {"qqqq": 1})
+
+
+def test_too_many_values_and_values_given_twice_are_refused() -> None:
+    with pytest.raises(ConfigError, match=r"^TaskIntegral takes at most 2 settings, got 3$"):
+        TaskIntegral(1.0, 2.0, 3.0)
+    with pytest.raises(ConfigError, match=r"^TaskIntegral: gain is given twice$"):
+        TaskIntegral(1.0, gain=2.0)
+    with pytest.raises(ConfigError, match=r"^TaskIntegral takes TaskIntegralSettings, got TendonPIDSettings$"):
+        TaskIntegral(TendonPID.settings_type())
+    with pytest.raises(ConfigError, match=r"^Arm: lengths must be given$"):
+        resolved(Arm, (), {})
 
 
 def law(**settings: Any) -> Tensor:
@@ -71,7 +132,7 @@ def law(**settings: Any) -> Tensor:
 
 
 def solver(**settings: Any) -> Tensor:
-    made = InverseKinematics(1.5, **settings)
+    made = InverseKinematics(1.5, **{"null_gain": 0.05, **settings})
     return made(randn(ROWS, 3, 9), randn(ROWS, 3, seed=1), randn(ROWS, 3, seed=2), 0.1 * randn(ROWS, 9, seed=3))
 
 
@@ -136,37 +197,41 @@ def integrated(**settings: Any) -> Tensor:
 SENSORS = rows(0.105, 0.36, 0.6)
 
 
-def followed(made: ResidualLaw | LengthBank, steps: int, X: Tensor = SENSORS) -> Tensor:
+def followed(tried: LengthLaw, feedback: StateFeedback, steps: int) -> Tensor:
     """pi_hat after some steps of a law on arms whose first section is shorter than the model's."""
-    backbone, feedback = PCCBackbone(3, HANGING_BASE), estimator(X)
+    backbone, X = feedback.backbone, feedback.abscissae
     lengths = PI + rows(-0.02, 0.015, 0.0)
     T = backbone.pose(0.5 * randn(ROWS, 9) * rows(1.0, 1.0, 0.02).repeat(3), lengths, *decouple(X, lengths))
-    pi, q, seen = PI.expand(ROWS, 3), torch.zeros(ROWS, 9, dtype=torch.float64), torch.ones(ROWS, dtype=torch.bool)
-    evidence = made.initial_evidence(q, pi)
+    pi, q, dt = PI.expand(ROWS, 3), torch.zeros(ROWS, 9, dtype=torch.float64), torch.tensor(0.05, dtype=torch.float64)
+    memory = tried.initial_memory(q, pi)
     for _ in range(steps):
         q = feedback(q, pi, T).q_bar
-        known = feedback.sensitivity(q, pi)
-        velocity, evidence = made(backbone, q, pi, known, T, X, rows(0.05, 0.05, 0.05), seen, evidence)  # type: ignore[arg-type]
-        pi = pi + 0.05 * velocity
+        speed, memory = tried.speed(law_step(feedback, q, pi, T, dt, tried.needs_sensitivity), memory)
+        pi = pi + dt * speed
     return pi
 
 
-def estimator(X: Tensor) -> StateFeedback:
+def estimator(X: Tensor = SENSORS) -> StateFeedback:
     return StateFeedback(PCCBackbone(3, HANGING_BASE), X, angular_weight=0.1, max_iterations=5)
 
 
+QUICK = {"time_constant": 0.3, "elongation_weight": 0.05, "nominal_weight": 0.02}
+
+
 def curved(abscissae: Tensor = SENSORS, **settings: Any) -> Tensor:
-    return followed(ResidualLaw(PI, "curve", SensorCurve(HANGING_BASE, abscissae), **settings), 3, abscissae)
+    feedback = estimator(abscissae)
+    return followed(ResidualLaw(PI, feedback, **{**QUICK, **settings}), feedback, 3)
 
 
 def joint(**settings: Any) -> Tensor:
-    return followed(ResidualLaw(PI, "sensors", **{"angular_weight": 0.1, "memory": 1.0, **settings}), 3)
+    settings = {"target": "sensors", "angular_weight": 0.1, "memory": 1.0, **QUICK, **settings}
+    return followed(ResidualLaw(PI, estimator(), **settings), estimator(), 3)
 
 
 def banked(abscissae: Tensor = SENSORS, **settings: Any) -> Tensor:
-    curve = SensorCurve(HANGING_BASE, abscissae, samples=4)
+    feedback = estimator(abscissae)
     settings = {"shares": (0.7, 1.0), "stretch": 1.0, "time_constant": 0.1, **settings}
-    return followed(LengthBank(PI, estimator(abscissae), curve, **settings), 8, abscissae)
+    return followed(LengthBank(PI, feedback, **settings), feedback, 8)
 
 
 def sensed(**settings: Any) -> Tensor:
@@ -181,62 +246,123 @@ def sine(omega: Any) -> Tensor:
     return torch.cat((target.x_d.expand(ROWS, 3), target.xdot_d), dim=-1)
 
 
+def controlled(**settings: Any) -> Tensor:
+    made = APCCController(
+        PCCBackbone(3, HANGING_BASE), estimator(), SavitzkyGolay(3, 1), InverseKinematics(2.0), (), **settings
+    )
+    q = 0.3 * randn(ROWS, 9) * rows(1.0, 1.0, 0.01).repeat(3)
+    T = made.backbone.pose(q, PI, *decouple(SENSORS, PI))
+    target = Target(rows(0.2, 0.1, -0.5).expand(ROWS, 3), torch.zeros(ROWS, 3, dtype=torch.float64))
+    return made(made.initial_state(q, PI), Measurement(T, rows(0.1, 0.1, 0.1)), target)[1].q_d
+
+
+def moved(**settings: Any) -> Tensor:
+    made = Plant.on(Arm(lengths=[0.2, 0.25]), rows(0.0, 0.1, 0.3), PlantSettings(refine=1, **settings))
+    now = made.straight((ROWS,))
+    pull = ramp(now.z, 0.01 * randn(ROWS, now.z.shape[-1]), 1.0, 0.01)
+    for k in range(3):
+        now = made.advance(now, pull, 0.005, k)
+    return now.arm.q
+
+
+USES: dict[tuple[type, Callable[..., Tensor]], dict[str, tuple[float, ...]]] = {
+    (AdaptiveLaw, law): {
+        "rate": (1e-4, 1e-3, 1.0),
+        "normalisation": (0.0, 1.0, 10.0),
+        "dead_zone": (0.0, 1e-3, 1.0),
+        "gain_scale": (0.1, 1.0, 5.0),
+    },
+    (InverseKinematics, solver): {
+        "damping": (0.0, 1e-2, 1.0),
+        "null_gain": (0.0, 0.2, 1.0),
+        "epsilon": (1e-3, 1e-2, 1.0),
+        "bend_rate": (0.01, 0.1, 9.0),
+        "length_rate": (0.01, 0.1, 9.0),
+    },
+    (InverseKinematics, solver_over_a_period): {
+        "null_step": (0.01, 0.1, 0.5),
+        "null_speed": (1e-3, 1.0, 9.0),
+        "epsilon": (1e-3, 1e-2, 1.0),
+    },
+    (TendonPID, pid): {
+        "K_P": (0.0, 10.0, 750.0),
+        "K_I": (0.0, 1.0, 5.0),
+        "K_D": (0.0, 1.0, 5.0),
+        "force_limit": (0.1, 1.0, 100.0),
+        "integral_limit": (1e-4, 1e-2, 1.0),
+    },
+    (StateFeedback, weighed): {
+        "angular_weight": (0.1, 0.3, 1.0),
+    },
+    (StateFeedback, inferred): {
+        "linear_threshold": (1e-6, 1e-3, 1.0),
+        "angular_threshold": (1e-6, 0.1, 3.0),
+        "bend_step": (0.01, 0.2, 2.0),
+        "length_step": (1e-4, 1e-3, 0.1),
+        "damping": (1e-8, 1e-3, 1.0),
+        "settled_step": (1e-9, 0.5, 9.0),
+    },
+    (StateFeedback, hierarchical): {
+        "linear_threshold": (1e-6, 1e-3, 1.0),
+    },
+    (SavitzkyGolay, filtered): {
+        "window": (3, 5, 9),
+    },
+    (PoseFilter, carried): {
+        "angular_time": (0.0, 0.05, 0.5),
+        "linear_time": (0.0, 0.05, 0.5),
+        "follow": (0.0, 0.7, 1.0),
+    },
+    (TaskIntegral, integrated): {
+        "gain": (0.0, 0.5, 2.0),
+        "reach": (1e-4, 1e-3, 1e-2),
+    },
+    (ResidualLaw, curved): {
+        "time_constant": (0.1, 0.5, 2.0),
+        "elongation_weight": (0.0, 0.1, 1.0),
+        "nominal_weight": (0.0, 0.1, 1.0),
+        "total_weight": (0.0, 0.1, 1.0),
+        "damping": (0.01, 0.1, 1.0),
+        "excitation": (1e-4, 0.1, 1.0),
+        "rate": (1e-4, 1e-3, 0.1),
+    },
+    (ResidualLaw, joint): {
+        "angular_weight": (0.01, 0.1, 1.0),
+        "memory": (0.01, 0.1, 1.0),
+    },
+    (LengthBank, banked): {
+        "elongation_weight": (0.0, 0.1, 1.0),
+        "nominal_weight": (0.0, 0.1, 1.0),
+        "sharpness": (0.0, 0.3, 3.0),
+        "resolution": (1e-6, 1e-3, 0.1),
+        "memory": (0.1, 1.0, 10.0),
+        "time_constant": (0.1, 0.5, 2.0),
+        "rate": (1e-3, 1e-2, 0.1),
+        "stretch": (0.1, 1.0, 2.0),
+        "total_range": (1e-4, 1e-3, 0.1),
+    },
+    (PoseSensors, sensed): {
+        "position_noise": (1e-3, 1e-2, 1.0),
+        "angular_noise": (1e-3, 1e-2, 1.0),
+        "dropout": (0.1, 0.5, 0.9),
+    },
+    (SineTrajectory, sine): {
+        "omega": (0.1, 1.0, 3.0),
+    },
+    (APCCController, controlled): {
+        "bend_bound": (0.05, 0.1, 1.0),
+        "elongation_bound": (1e-5, 1e-4, 1e-3),
+    },
+    (Plant, moved): {
+        "tendon_damping": (0.0, 50.0, 500.0),
+    },
+}
+"""Parts in use, and three values for each of their numbers: one a row."""
+
+
 @pytest.mark.parametrize(
     ("make", "name", "values"),
-    [
-        (law, "rate", (1e-4, 1e-3, 1.0)),
-        (law, "normalisation", (0.0, 1.0, 10.0)),
-        (law, "dead_zone", (0.0, 1e-3, 1.0)),
-        (solver, "damping", (0.0, 1e-2, 1.0)),
-        (solver, "null_gain", (0.0, 0.2, 1.0)),
-        (solver, "epsilon", (1e-3, 1e-2, 1.0)),
-        (solver_over_a_period, "null_step", (0.01, 0.1, 0.5)),
-        (solver_over_a_period, "null_speed", (1e-3, 1.0, 9.0)),
-        (solver_over_a_period, "epsilon", (1e-3, 1e-2, 1.0)),
-        (solver, "bend_rate", (0.01, 0.1, 9.0)),
-        (solver, "length_rate", (0.01, 0.1, 9.0)),
-        (pid, "K_P", (0.0, 10.0, 750.0)),
-        (pid, "K_I", (0.0, 1.0, 5.0)),
-        (pid, "K_D", (0.0, 1.0, 5.0)),
-        (pid, "force_limit", (0.1, 1.0, 100.0)),
-        (pid, "integral_limit", (1e-4, 1e-2, 1.0)),
-        (weighed, "angular_weight", (0.1, 0.3, 1.0)),
-        (inferred, "linear_threshold", (1e-6, 1e-3, 1.0)),
-        (inferred, "angular_threshold", (1e-6, 0.1, 3.0)),
-        (inferred, "bend_step", (0.01, 0.2, 2.0)),
-        (inferred, "length_step", (1e-4, 1e-3, 0.1)),
-        (inferred, "damping", (1e-8, 1e-3, 1.0)),
-        (inferred, "settled_step", (1e-9, 0.5, 9.0)),
-        (hierarchical, "linear_threshold", (1e-6, 1e-3, 1.0)),
-        (filtered, "window", (3, 5, 9)),
-        (carried, "angular_time", (0.0, 0.05, 0.5)),
-        (carried, "linear_time", (0.0, 0.05, 0.5)),
-        (carried, "follow", (0.0, 0.7, 1.0)),
-        (integrated, "gain", (0.0, 0.5, 2.0)),
-        (integrated, "reach", (1e-4, 1e-3, 1e-2)),
-        (curved, "time_constant", (0.1, 0.5, 2.0)),
-        (curved, "elongation_weight", (0.0, 0.1, 1.0)),
-        (curved, "nominal_weight", (0.0, 0.1, 1.0)),
-        (curved, "total_weight", (0.0, 0.1, 1.0)),
-        (curved, "damping", (0.01, 0.1, 1.0)),
-        (curved, "excitation", (1e-4, 0.1, 1.0)),
-        (curved, "rate", (1e-4, 1e-3, 0.1)),
-        (joint, "angular_weight", (0.01, 0.1, 1.0)),
-        (joint, "memory", (0.01, 0.1, 1.0)),
-        (banked, "elongation_weight", (0.0, 0.1, 1.0)),
-        (banked, "nominal_weight", (0.0, 0.1, 1.0)),
-        (banked, "sharpness", (0.0, 0.3, 3.0)),
-        (banked, "resolution", (1e-6, 1e-3, 0.1)),
-        (banked, "memory", (0.1, 1.0, 10.0)),
-        (banked, "time_constant", (0.1, 0.5, 2.0)),
-        (banked, "rate", (1e-3, 1e-2, 0.1)),
-        (banked, "stretch", (0.1, 1.0, 2.0)),
-        (banked, "total_range", (1e-4, 1e-3, 0.1)),
-        (sensed, "position_noise", (1e-3, 1e-2, 1.0)),
-        (sensed, "angular_noise", (1e-3, 1e-2, 1.0)),
-        (sensed, "dropout", (0.1, 0.5, 0.9)),
-        (sine, "omega", (0.1, 1.0, 3.0)),
-    ],
+    [(make, name, values) for (_, make), tried in USES.items() for name, values in tried.items()],
 )
 def test_each_row_is_as_if_its_number_were_every_row_s(
     make: Callable[..., Tensor], name: str, values: tuple[float, ...]
@@ -246,6 +372,19 @@ def test_each_row_is_as_if_its_number_were_every_row_s(
     torch.testing.assert_close(together, torch.stack([alone[i][i] for i in range(ROWS)]), rtol=1e-9, atol=1e-12)
     # The setting matters, or the comparison would show nothing.
     assert not torch.allclose(alone[0], alone[2], rtol=1e-6, atol=1e-9)
+
+
+def test_every_number_of_every_part_is_tried() -> None:
+    tried = {(part, name) for (part, _), values in USES.items() for name in values}
+    for part in subclasses(Configurable):
+        if part.__module__.startswith("apcc_torch."):
+            for each, _ in numbers_of(part.settings_type):
+                assert any((base, each.name) in tried for base in part.__mro__), f"{part.__name__}.{each.name}"
+
+
+def test_every_settings_class_knows_its_part() -> None:
+    for part in subclasses(Configurable):
+        assert part_of(part.settings_type.__new__(part.settings_type)) is part
 
 
 def test_abscissae_may_differ_from_row_to_row() -> None:
@@ -275,17 +414,9 @@ def test_what_a_bank_tries_may_differ_from_row_to_row() -> None:
     assert not torch.allclose(alone[0], alone[1], rtol=1e-6, atol=1e-9)
     torch.testing.assert_close(together[1:], torch.stack([alone[i][i] for i in (1, 2)]), rtol=1e-9, atol=1e-12)
     # The first row's nominal lengths are one combination of its own shares, and alone they are not tried twice.
-    again = candidates(PI, [torch.stack([rows(*each[i]) for each in sets]) for i in range(2)], SENSORS)
+    both = lists_of([torch.stack([rows(*each[i]) for each in sets]) for i in range(2)], 2)
+    again = candidates(PI, both, SENSORS)
     assert again.shape == (3, 5, 3) and torch.equal(again[0, 0], again[0, -1])
-
-
-def test_reach_may_differ_from_row_to_row() -> None:
-    ends = torch.stack((rows(0.0, 0.0, 0.7), rows(0.2, 0.5, 0.6), rows(0.0, 0.45, 0.5)))
-    together = AdaptiveLaw(3, 2.0, reach=ends).project(PI.expand(ROWS, 3))
-    alone = torch.stack([AdaptiveLaw(3, 2.0, reach=end).project(PI) for end in ends])
-    torch.testing.assert_close(together, alone)
-    with pytest.raises(ValueRangeError, match="reach"):
-        AdaptiveLaw(3, 2.0, reach=torch.stack((ends[0], rows(0.5, 0.4, 0.6))))
 
 
 def test_draws_are_shared_where_runs_stand_side_by_side() -> None:

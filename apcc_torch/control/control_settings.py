@@ -18,7 +18,8 @@ from apcc_torch.estimation.savitzky_golay import SavitzkyGolaySettings
 from apcc_torch.estimation.state_feedback import StateFeedbackSettings
 from apcc_torch.model.backbone import PCCBackbone
 from apcc_torch.model.kinematic_model import KinematicModel
-from apcc_torch.settings import OURS, PAPER, Setting, Settings, did_you_mean, names, setting
+from apcc_torch.reading import nested_in
+from apcc_torch.settings import OURS, PAPER, Setting, Settings, did_you_mean, names, resolved, setting
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,8 +87,7 @@ class ControlSettings(Settings):
         order = ("controller", "feedback", "velocity_filter", "adaptation", "bounds", "residual")
         for name, value in changes.items():
             if name in groups:
-                group = groups[name]
-                groups[name] = group.changed(**value) if isinstance(value, Mapping) and group is not None else value
+                groups[name] = self._group(name, groups[name], value) if isinstance(value, Mapping) else value
                 continue
             owner = next((g for g in order if groups[g] is not None and name in names(type(groups[g]))), None)
             if owner is None:
@@ -95,3 +95,12 @@ class ControlSettings(Settings):
                 raise ConfigError(f"a controller has no setting {name!r}{did_you_mean(name, [*groups, *known])}")
             groups[owner] = groups[owner].changed(**{name: value})
         return type(self)(**groups)
+
+    def _group(self, name: str, group: Settings | None, changes: Mapping[str, Any]) -> Settings:
+        """A group's settings with changes; those of its class where there were none."""
+        if group is not None:
+            return group.changed(**changes)
+        kind = nested_in(type(self), name)
+        if kind is None:
+            raise ConfigError(f"{name} is none, and only its settings say of which class it shall be")
+        return resolved(kind, (), changes)

@@ -5,10 +5,11 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from apcc_torch.envs.places import Places
 from apcc_torch.model.inertia import base_frames, bending, rotate
+from apcc_torch.part import Part
 
 
 class Positions(NamedTuple):
@@ -22,7 +23,7 @@ class Positions(NamedTuple):
     sensors: Tensor
 
 
-class BackbonePoints(nn.Module):
+class BackbonePoints(Part):
     """The positions of chosen material points.
 
     Args:
@@ -50,11 +51,12 @@ class BackbonePoints(nn.Module):
         self.register_buffer("powers", powers(tuple(shares), base))
         self.register_buffer("backbone", index[0].to(base.device))
         self.register_buffer("sensors", index[1].to(base.device))
+        self.whole = index[0].equal(torch.arange(len(shares) * parts * int(backbone.section.max() + 1)))
 
     def forward(self, q: Tensor, lengths: Tensor) -> Positions:
         """The positions on arms with configurations (N, 3 n) and rest lengths (N, n), m."""
         points = backbone_points(q, lengths, self.base, self.powers)
-        return Positions(points[:, self.backbone], points[:, self.sensors])
+        return Positions(points if self.whole else points[:, self.backbone], points[:, self.sensors])
 
 
 def _in_parts(at: Places, parts: int) -> tuple[Tensor, Tensor]:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 from torch.func import functional_call
 
 from apcc_torch.control.pid import ramp
@@ -56,7 +56,7 @@ class DynamicState(NamedTuple):
     z: Tensor
 
 
-class _Moves(nn.Module):
+class _Moves(Part):
     """One control period of the plant, as a module so that `functional_call` can give each row its own arm."""
 
     def __init__(self, plant: Plant, period: float, substeps: int) -> None:
@@ -71,7 +71,7 @@ class _Moves(nn.Module):
         return DynamicState(arm, z)
 
 
-class _AtRest(nn.Module):
+class _AtRest(Part):
     """Gravity's generalized force (N, n) on the plant, and its stiffness (N, n), for `functional_call` likewise."""
 
     def __init__(self, plant: Plant) -> None:

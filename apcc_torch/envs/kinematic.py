@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from torch import Tensor, nn
+from torch import Tensor
 
 from apcc_torch.envs.backbone_points import BackbonePoints, Positions
 from apcc_torch.envs.places import middles_and_ends, sensors_of
 from apcc_torch.envs.randomisation import RowParameters
 from apcc_torch.model.arm import Arm
+from apcc_torch.part import Part
 
 
 class KinematicState(NamedTuple):
@@ -18,7 +19,7 @@ class KinematicState(NamedTuple):
     q: Tensor
 
 
-class KinematicArm(nn.Module):
+class KinematicArm(Part):
     """N arms of the model's sections.
 
     Args:

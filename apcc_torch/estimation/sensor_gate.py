@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
-from apcc_torch.part import Part, hold_rows
+from apcc_torch.part import Part, hold_rows, refuse_parameter
 from apcc_torch.settings import OURS, Settings, resolved, setting
 from apcc_torch.shapes import batch_shape, check_tensor
 from apcc_torch.spread import Numbers, spread
@@ -154,9 +154,12 @@ class SensorGate(Part):
         super().__init__()
         settings = resolved(SensorGateSettings, given, changes)
         self.sensors = check_tensor("abscissae", abscissae, (None,)).shape[-1]
-        self.register_buffer("abscissae", abscissae)
-        for name in ("max_bend", "max_twist"):
-            hold_rows(self, **{name: (spread(name, getattr(settings, name), self.sensors), 1)})
+        limits = {name: getattr(settings, name) for name in ("max_bend", "max_twist")}
+        for name, value in {"abscissae": abscissae, **limits}.items():
+            refuse_parameter(name, value, "a gate's answers have no gradient; hand in a plain tensor")
+        with abscissae.device:  # where numbers become tensors
+            held = {name: (spread(name, value, self.sensors), 1) for name, value in limits.items()}
+        hold_rows(self, abscissae=(abscissae, 1), **held)
         self.hold(settings)
 
     def derive(self) -> None:

@@ -8,13 +8,12 @@ q is (dx, dy, dL) per section in rad, rad, m, so a generalized force is in N m, 
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import torch
 from torch import Tensor, nn
 
 from apcc_torch.errors import ValueRangeError
 from apcc_torch.model.composite_inertia import Composite, assembled, composite, solved
+from apcc_torch.model.equation_of_motion import Energy, EquationOfMotion
 from apcc_torch.model.inertia import ArmShape, Bending, arm_shape, bending, mass_points, moments, own_momentum
 from apcc_torch.model.loads import Loads, Payload, carried_wrench, distributed_load, front
 from apcc_torch.model.stiffness import section_diagonal
@@ -22,26 +21,6 @@ from apcc_torch.model.velocity_accelerations import accelerations, generalized_f
 from apcc_torch.modes import holds
 from apcc_torch.part import Part, hold_rows
 from apcc_torch.shapes import batch_shape, check_finite, check_positive, check_same, check_tensor
-
-
-class EquationOfMotion(NamedTuple):
-    """M qddot + bias = tau - K q - D qdot.
-
-    inertia: (..., n, n) M(q).
-    bias: (..., n) C(q, qdot) qdot + G(q) less the generalized external loads.
-    """
-
-    inertia: Tensor
-    bias: Tensor
-
-
-class Energy(NamedTuple):
-    """Energies in J, each (...). potential = gravity + elastic."""
-
-    kinetic: Tensor
-    potential: Tensor
-    gravity: Tensor
-    elastic: Tensor
 
 
 class SoftArmDynamics(Part):
@@ -134,15 +113,20 @@ class SoftArmDynamics(Part):
             self.register_buffer(name, value, persistent=False)
 
     @property
+    def diagonals(self) -> tuple[Tensor, Tensor]:
+        """Diagonals (..., n) of K, N m/rad, N m/rad, N/m a section, and of D, the same times s."""
+        K, own = section_diagonal(self.bending_stiffness, self.axial_stiffness), self.own_damping
+        return K, self.damping_ratio.unsqueeze(-1) * K if own is None else own
+
+    @property
     def stiffness_diagonal(self) -> Tensor:
-        """The diagonal (..., n) of K, N m/rad, N m/rad, N/m a section."""
-        return section_diagonal(self.bending_stiffness, self.axial_stiffness)
+        """The first of `diagonals`."""
+        return self.diagonals[0]
 
     @property
     def damping_diagonal(self) -> Tensor:
-        """The diagonal (..., n) of D, N m s/rad, N m s/rad, N s/m a section."""
-        own = self.own_damping
-        return self.damping_ratio.unsqueeze(-1) * self.stiffness_diagonal if own is None else own
+        """The second of `diagonals`."""
+        return self.diagonals[1]
 
     @property
     def stiffness(self) -> Tensor:
@@ -258,8 +242,8 @@ class SoftArmDynamics(Part):
         """
         check_tensor("tau", tau, (3 * self.n_sections,))
         parts, bias = self._parts(q, qdot, payload, Loads(wrench, distributed, section_wrenches))
-        # Eq. (35)
-        return solved(parts, tau - bias - self.stiffness_diagonal * q - self.damping_diagonal * qdot)
+        K, D = self.diagonals
+        return solved(parts, tau - bias - K * q - D * qdot)  # Eq. (35)
 
     def energy(self, q: Tensor, qdot: Tensor, payload: Payload = None) -> Energy:
         """Kinetic and potential energy, J; see `Energy`. Heights are measured from the world origin.

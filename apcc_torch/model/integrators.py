@@ -12,7 +12,8 @@ import torch
 from torch import Tensor
 
 from apcc_torch.linalg import solve_spd
-from apcc_torch.model.dynamics import EquationOfMotion, SoftArmDynamics
+from apcc_torch.model.dynamics import SoftArmDynamics
+from apcc_torch.model.equation_of_motion import EquationOfMotion
 from apcc_torch.model.loads import Payload
 from apcc_torch.modes import full_precision
 
@@ -115,22 +116,23 @@ def rk4_step(field: Field, t: Tensor, x: Tensor, dt: float | Tensor) -> Tensor:
 
 def _residual_force(
     dynamics: SoftArmDynamics,
+    diagonals: tuple[Tensor, Tensor],
     state: ArmState,
     tau: Tensor,
     payload: Payload,
     wrench: Tensor | None,
     equation: EquationOfMotion | None = None,
 ) -> tuple[Tensor, Tensor]:
-    """M and the force tau - C qdot - G - D qdot - K q at a state."""
+    """M and the force tau - C qdot - G - D qdot - K q at a state, with the arm's `diagonals`."""
     if equation is None:
         equation = dynamics.equation(state.q, state.qdot, payload, wrench)
-    force = tau - equation.bias - dynamics.stiffness_diagonal * state.q - dynamics.damping_diagonal * state.qdot
-    return equation.inertia, force
+    K, D = diagonals
+    return equation.inertia, tau - equation.bias - K * state.q - D * state.qdot
 
 
-def _implicit_terms(dynamics: SoftArmDynamics, actuation: Actuation) -> tuple[Tensor, Tensor]:
+def _implicit_terms(diagonals: tuple[Tensor, Tensor], actuation: Actuation) -> tuple[Tensor, Tensor]:
     """Stiffness and damping (..., n, n) of the arm with its actuation."""
-    stiffness, damping = dynamics.stiffness, dynamics.damping
+    stiffness, damping = (torch.diag_embed(each) for each in diagonals)
     if actuation.stiffness is not None:
         stiffness = stiffness + actuation.stiffness
     if actuation.damping is not None:
@@ -172,8 +174,9 @@ def semi_implicit_step(
         >>> later.qdot[[2, 5]]
         tensor([ 0.1025, -0.0054], dtype=torch.float64)
     """
-    inertia, force = _residual_force(dynamics, state, actuation.tau, payload, wrench, equation)
-    stiffness, damping = _implicit_terms(dynamics, actuation)
+    diagonals = dynamics.diagonals
+    inertia, force = _residual_force(dynamics, diagonals, state, actuation.tau, payload, wrench, equation)
+    stiffness, damping = _implicit_terms(diagonals, actuation)
     matrix = inertia + dt * damping + (dt * dt) * stiffness
     rhs = dt * (force - dt * (stiffness @ state.qdot.unsqueeze(-1)).squeeze(-1))
     qdot = state.qdot + _solve(matrix, rhs)
@@ -210,9 +213,9 @@ def rosenbrock_step(
         tensor([ 0.1110, -0.0170], dtype=torch.float64)
     """
     g = (1.0 - 0.5**0.5) * dt
-    actuation = actuate(state)
-    inertia, force = _residual_force(dynamics, state, actuation.tau, payload, wrench)
-    stiffness, damping = _implicit_terms(dynamics, actuation)
+    actuation, diagonals = actuate(state), dynamics.diagonals
+    inertia, force = _residual_force(dynamics, diagonals, state, actuation.tau, payload, wrench)
+    stiffness, damping = _implicit_terms(diagonals, actuation)
     matrix = inertia + g * damping + (g * g) * stiffness
 
     def solve(rq: Tensor, momentum: Tensor) -> ArmState:
@@ -222,7 +225,7 @@ def rosenbrock_step(
 
     k1 = solve(dt * state.qdot, dt * force)
     middle = ArmState(state.q + k1.q, state.qdot + k1.qdot)
-    later_inertia, later_force = _residual_force(dynamics, middle, actuate(middle).tau, payload, wrench)
+    later_inertia, later_force = _residual_force(dynamics, diagonals, middle, actuate(middle).tau, payload, wrench)
     change = dt * _solve(later_inertia, later_force) - 2.0 * k1.qdot
     k2 = solve(dt * middle.qdot - 2.0 * k1.q, (inertia @ change.unsqueeze(-1)).squeeze(-1))
     return ArmState(state.q + 1.5 * k1.q + 0.5 * k2.q, state.qdot + 1.5 * k1.qdot + 0.5 * k2.qdot)

@@ -77,8 +77,12 @@ class StrainBackbone(KinematicModel):
         chosen: Chosen | None = None,
     ) -> None:
         super().__init__(n_sections, coordinates, base_rotation)
-        self.rods = rods
-        like = self.base_rotation
+        self.rods, self.basis, self.chosen = rods, basis, chosen
+        self.derive()
+
+    def derive(self) -> None:
+        """The twists of a section's rods, and the basis and the places of its coordinates beside the base rotation."""
+        like, rods, basis, chosen = self.base_rotation, self.rods, self.basis, self.chosen
         h = 1.0 / rods
         middles = torch.arange(rods, dtype=torch.float64, device="cpu").add(0.5).mul(h)
         first = basis.S_0.expand(rods, *basis.S_0.shape)
@@ -94,11 +98,12 @@ class StrainBackbone(KinematicModel):
             "part_first": basis.P_1,
             "part_second": basis.P_2,
         }
-        for name, value in constants.items():
-            self.register_buffer(name, None if value is None else value.to(like))
-        self.register_buffer("second", second)
-        self.register_buffer("places", None if chosen is None else chosen.places.to(like.device))
-        self.register_buffer("entries", None if chosen is None else chosen.entries.to(like.device))
+        placed = {name: None if value is None else value.to(like) for name, value in constants.items()}
+        placed |= {"second": second, "places": None, "entries": None}
+        if chosen is not None:
+            placed |= {"places": chosen.places.to(like.device), "entries": chosen.entries.to(like.device)}
+        for name, value in placed.items():
+            self.register_buffer(name, value, persistent=False)
 
     @property
     def n(self) -> int:

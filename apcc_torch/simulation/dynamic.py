@@ -21,7 +21,7 @@ from apcc_torch.errors import ConfigError
 from apcc_torch.model.abscissae import decouple
 from apcc_torch.model.integrators import ArmState
 from apcc_torch.native.compiled import MODES, compiled
-from apcc_torch.part import Part, hold_rows
+from apcc_torch.part import Part, hold_rows, refuse_parameter, untrained
 from apcc_torch.settings import OURS, Settings, setting
 from apcc_torch.simulation.plant import Plant, PlantState
 from apcc_torch.simulation.progress import Progress, quiet
@@ -119,7 +119,8 @@ class ClosedLoop(Part):
         self.trajectory = trajectory
         self.period = period
         lengths = plant.dynamics.lengths
-        places = controller.feedback.abscissae if abscissae is None else abscissae
+        refuse_parameter("abscissae", abscissae, "where the sensors are is made of them once; hand in a plain tensor")
+        places = untrained(controller.feedback.abscissae) if abscissae is None else abscissae
         X_tilde, j = decouple(places.to(lengths), lengths)
         hold_rows(self, X_tilde=(X_tilde, 1), j=(j, 1))
 

@@ -18,7 +18,7 @@ from apcc_torch.model.abscissae import decouple
 from apcc_torch.model.kinematic_model import KinematicModel
 from apcc_torch.modes import holds
 from apcc_torch.native.compiled import compiled
-from apcc_torch.part import Part, hold_rows
+from apcc_torch.part import Part, hold_rows, refuse_parameter, untrained
 from apcc_torch.simulation.progress import Progress, quiet
 from apcc_torch.simulation.rollout import rollout
 
@@ -188,7 +188,8 @@ class FeedbackLoop(Part):
         self.controller = controller
         self.trajectory = trajectory
         self.dt = dt
-        X_tilde, j = decouple(controller.feedback.abscissae.to(pi), pi)
+        refuse_parameter("pi", pi, "where the sensors are is made of it once; hand in a plain tensor")
+        X_tilde, j = decouple(untrained(controller.feedback.abscissae).to(pi), pi)
         hold_rows(self, pi=(pi, 1), X_tilde=(X_tilde, 1), j=(j, 1))
 
     def start(self, pi_hat: Tensor) -> FeedbackState:

@@ -12,7 +12,8 @@ from apcc_torch.control.pid import TendonPID, TendonPIDSettings, TendonReference
 from apcc_torch.errors import ConfigError
 from apcc_torch.model.arm import Arm, ArmChanges, with_changes
 from apcc_torch.model.backbone import PCCBackbone
-from apcc_torch.model.dynamics import EquationOfMotion, SoftArmDynamics
+from apcc_torch.model.dynamics import SoftArmDynamics
+from apcc_torch.model.equation_of_motion import EquationOfMotion
 from apcc_torch.model.friction import TendonTransmission, TendonTransmissionSettings
 from apcc_torch.model.integrators import Actuation, ArmState, guard, semi_implicit_step
 from apcc_torch.model.tendons import TendonRouting

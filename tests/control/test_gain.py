@@ -26,7 +26,9 @@ def test_forms() -> None:
     full.zero_()  # the gain is the module's own
     assert float(law.K.diagonal(dim1=-2, dim2=-1).min()) >= 1.0
     assert torch.equal(gain_matrix("gamma", [90.0, 42.5, 35.0], 3), torch.diag(diagonal))
-    assert torch.equal(gain_matrix("gamma", {"along": [90.0, 42.5, 35.0]}, 3), torch.diag(diagonal))
+    rows = [[2.0, 1.0, 0.0], [1.0, 2.0, 0.0], [0.0, 0.0, 1.0]]
+    assert torch.equal(gain_matrix("K", rows, 3), torch.tensor(rows, dtype=torch.float64))
+    assert torch.equal(gain_matrix("gamma", ["along", 90.0, 42.5, 35.0], 3), torch.diag(diagonal))
 
 
 def test_a_trained_gain_is_a_matrix() -> None:
@@ -50,7 +52,7 @@ def test_a_trained_gain_is_a_matrix() -> None:
         (torch.eye(3) + torch.tensor([[0.0, 0.1, 0.0]] + [[0.0] * 3] * 2), ValueRangeError, "K must be symmetric"),
         (torch.stack((torch.eye(3), -torch.eye(3))), ValueRangeError, "positive definite"),
         ([1.0, 2.0], ConfigError, "K must have 3 entries, got 2"),
-        ([1.0, "2", 3.0], ConfigError, "K must be a number or a list of 3 numbers"),
+        ([1.0, "2", 3.0], ConfigError, "K must be a number, a list of 3 numbers or "),
         (torch.ones(2), ShapeError, r"K must have shape \(\.\.\., 3\), got \(2,\)"),
         (torch.eye(4), ShapeError, r"K must have shape \(\.\.\., 3, 3\), got \(4, 4\)"),
         (torch.ones(3, dtype=torch.int64), DtypeError, "K must be a floating-point tensor"),

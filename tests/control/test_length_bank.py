@@ -84,7 +84,7 @@ def test_every_section_may_have_shares_of_its_own() -> None:
     torch.testing.assert_close(found, want)
     torch.testing.assert_close(models(PI, (SHARES, SHARES)), models())
     # A profile from the base to the tip: each section has the list of its place, whatever their number.
-    profile = {"along": [(0.5, 1.0), (0.75,)]}
+    profile = ["along", (0.5, 1.0), (0.75,)]
     torch.testing.assert_close(torch.stack(lists_of(profile, 2)[:1]), torch.tensor([[0.5, 1.0]], dtype=D))
     assert [each.tolist() for each in lists_of(profile, 4)] == [[0.5, 1.0], [0.5, 1.0], [0.75], [0.75]]
     assert [each.tolist() for each in lists_of(profile, 1)] == [[0.75]]

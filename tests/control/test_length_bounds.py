@@ -111,10 +111,10 @@ def test_by_default_the_last_sensor_is_on_the_arm() -> None:
 
 def test_a_share_is_one_number_one_a_section_or_a_profile() -> None:
     alike = LengthBounds(PI, reach="free", lower=0.5)
-    for share in ([0.5, 0.5, 0.5], (0.5, 0.5, 0.5), {"along": [0.5]}, torch.full((3,), 0.5)):
+    for share in ([0.5, 0.5, 0.5], (0.5, 0.5, 0.5), ["along", 0.5], torch.full((3,), 0.5)):
         made = LengthBounds(PI, reach="free", lower=share)
         assert made.least is not None and alike.least is not None and torch.equal(made.least, alike.least)
-    profile = LengthBounds(torch.ones(6).double(), reach="free", upper=None, lower={"along": [0.2, 0.4, 0.6]})
+    profile = LengthBounds(torch.ones(6).double(), reach="free", upper=None, lower=["along", 0.2, 0.4, 0.6])
     assert profile.least is not None
     torch.testing.assert_close(profile.least, tensor(0.2, 0.25, 0.35, 0.45, 0.55, 0.6))
 

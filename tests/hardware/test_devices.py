@@ -14,7 +14,8 @@ import yaml
 import apcc_torch
 from apcc_torch.classes import ALLOWED
 from apcc_torch.composition.build_realtime import RealtimeBuilder
-from apcc_torch.composition.realtime import RealtimeSettings, from_text, schema, text
+from apcc_torch.composition.realtime import RealtimeSettings, from_text
+from apcc_torch.composition.schema import schema, text
 from apcc_torch.errors import ConfigError
 from apcc_torch.hardware.clock import MonotonicClock
 from apcc_torch.hardware.devices import HardwareSettings, devices
@@ -52,7 +53,7 @@ def test_the_defaults_are_what_the_command_line_builds() -> None:
     for name in ("hardware", "guards", "loop", "calibration", "ramp", "series"):
         assert getattr(settings, name) == type(getattr(settings, name))(), name
     assert read(plain(settings), RealtimeSettings) == settings
-    assert schema().keys() == defaults(RealtimeSettings).keys()
+    assert schema(RealtimeSettings).keys() == defaults(RealtimeSettings).keys()
 
 
 def test_a_gripper_is_a_tenth_motor() -> None:

@@ -41,7 +41,6 @@ def test_blocks_hold_what_the_file_says() -> None:
     ("arm", "spreads", "error", "words"),
     [
         (SMALL, Spreads(offset=(0.1, 0.2)), ConfigError, r"spread\.offset must have 6 entries, got 2"),
-        (SMALL, Spreads(angle="much"), ConfigError, r"spread\.angle must be a number or a list"),  # type: ignore[arg-type]
         (Arm(lengths=(0.1,)), Spreads(), ValueRangeError, "friction must be positive"),
     ],
 )
@@ -72,3 +71,8 @@ def test_the_file_says_what_was_fitted(tmp_path: Path) -> None:
     lines = (tmp_path / "arm.yaml").read_text().splitlines()
     assert lines[0] == "# Identified: tendons.offsets."
     assert lines[1].startswith("# Taken over: lengths, tendons.angles, actuation.pulls,")
+
+
+def test_a_spread_that_is_no_number_is_refused() -> None:
+    with pytest.raises(ConfigError, match=r"angle must be a number, a list of numbers"):
+        Spreads(angle="much")  # type: ignore[arg-type]
