@@ -22,8 +22,9 @@ def key_units() -> dict[str, str]:
     units = {row.key: row.unit for row in rows(SimulateSettings)}
     for each in keys(SimulateSettings):
         base = about_of(each).base
-        for part in [] if base is None else _subclasses(base):
-            units |= {row.key: row.unit for row in rows(part.settings_type, f"{each.name}.")}
+        for part in () if base is None else (base, *_subclasses(base)):
+            if part.settings_type is not None:
+                units |= {row.key: row.unit for row in rows(part.settings_type, f"{each.name}.")}
     return units
 
 

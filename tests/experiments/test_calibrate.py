@@ -67,19 +67,20 @@ def test_a_run_confirms_it_uses_it_and_keeps_it_with_its_log(file: Path, tmp_pat
 
 def test_the_model_takes_what_was_measured_where_it_fits(file: Path) -> None:
     found = ArmCalibration.load(file)
-    robot = calibrated(settings("setpoint"), found).robot
-    assert robot.sensors == robot.racks == found.rest.abscissae.tolist()
-    assert np.allclose(np.cumsum(robot.rest_lengths), robot.sensors)
-    assert calibrated(settings("setpoint", "calibration.lengths=false"), found).robot.sensors == [0.105, 0.36, 0.60]
-    with pytest.raises(ConfigError, match=r"robot.sensors\[1\] is 0.4 m, and the calibration has 0.36"):
-        calibrated(settings("setpoint", "robot.sensors=[0.105,0.4,0.6]"), found)
+    arm = calibrated(settings("setpoint"), found).arm
+    assert list(arm.sensors) == list(arm.racks) == found.rest.abscissae.tolist()
+    assert np.allclose(np.cumsum(arm.rest_lengths()), arm.sensors)
+    unmeasured = calibrated(settings("setpoint", "calibration.lengths=false"), found).arm
+    assert np.allclose(unmeasured.sensor_places(), [0.105, 0.36, 0.60])
+    with pytest.raises(ConfigError, match=r"arm.sensors\[1\] is 0.4 m, and the calibration has 0.36"):
+        calibrated(settings("setpoint", "arm.sensors=[0.105,0.4,0.6]"), found)
 
 
 @pytest.mark.parametrize(
     ("override", "sentence"),
     [
         ("calibration.id=0123456789ab", "calibration.id is 0123456789ab"),
-        ("robot.base=standing", "robot.base is standing, and was hanging"),
+        ("arm.base=standing", "arm.base is standing, and was hanging"),
         ("calibration.file=nowhere.json", "nowhere.json cannot be read"),
         ("hardware=dynamixel_optitrack", r"hardware\.actuator\.ids is .*, and was None"),
     ],

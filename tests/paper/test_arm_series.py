@@ -47,8 +47,9 @@ def test_experiment_1_has_table_i_of_the_paper() -> None:
     for overrides in runs.values():
         values = {k: np.array(json.loads(v)) for k, v in (entry.split("=") for entry in overrides)}
         assert (values["ramp.goal"] <= 0).all() and (values["ramp.goal"] >= lower).all()
-        assert np.allclose(np.cumsum(values["robot.rest_lengths"]), values["robot.sensors"])
-        assert np.allclose(values["plant.lengths"].reshape(3, 2).sum(1), values["robot.rest_lengths"])
+        run = composed_realtime("experiment=experiment_1", *overrides)
+        assert np.allclose(run.arm.rest_lengths(), values["arm.lengths"])
+        assert np.allclose(np.cumsum(values["arm.lengths"]), run.arm.sensor_places())
     assert "ramp.goal=[-0.026, -0.013, -0.002, -0.047, -0.046, -0.008, -0.028, -0.023, -0.074]" in runs["run_4"]
 
 
@@ -81,12 +82,12 @@ def test_experiment_1_leaves_a_table_and_its_figures(first: Path) -> None:
 def test_experiment_2_has_the_papers_gains() -> None:
     runs = composed_realtime("experiment=experiment_2").series.runs
     assert len(runs) == 14
-    assert {"controller.K=1.5", "controller.gamma=40.0", "feedback.mode=position"} <= set(runs["coupled_1_adaptive"])
-    assert {"controller.K=1.5", "controller.gamma=30.0", "feedback.mode=pose"} <= set(runs["coupled_3_adaptive"])
+    assert {"controller.K=1.5", "adaptation.gamma=40.0", "feedback.mode=position"} <= set(runs["coupled_1_adaptive"])
+    assert {"controller.K=1.5", "adaptation.gamma=30.0", "feedback.mode=pose"} <= set(runs["coupled_3_adaptive"])
     assert {"controller.K=2.0", "experiment.payloads=[0.21]"} <= set(runs["corrected_3_standard"])
     for name, overrides in runs.items():
         layout, run, _ = mapping_study.split(name)
-        assert f"robot.layout={'coupled' if layout == 'coupled' else 'independent'}" in overrides
+        assert f"arm.layout={'coupled' if layout == 'coupled' else 'independent'}" in overrides
         assert ("experiment.payloads=[0.21]" in overrides) == (run == "3")
 
 
