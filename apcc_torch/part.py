@@ -15,7 +15,7 @@ from torch import Tensor, nn
 
 from apcc_torch.errors import ConfigError
 from apcc_torch.modes import full_precision
-from apcc_torch.settings import Kind, Settings, about_of, check_setting, default_of, told
+from apcc_torch.settings import Kind, Settings, about_of, default_of, told
 
 _TRAILING = {"": 0, "number": 0, "sections": 1, "points": 1, "gain": 2, "task": 2, "lists": 1}
 """How many dimensions of a setting that may differ from row to row are not rows'."""
@@ -249,19 +249,6 @@ def _signature(cls: type[Any], kind: type[Kind]) -> inspect.Signature:
             keyword = inspect.Parameter.KEYWORD_ONLY
             settings.append(inspect.Parameter(each.name, keyword, default=default, annotation=each.type))
     return inspect.Signature([*first, *(p for p in plain if p.kind is p.KEYWORD_ONLY), *settings])
-
-
-def check_settings(**settings: Any) -> None:
-    """To be replaced by the ranges of settings."""
-    for name, value in settings.items():
-        if value is not None:
-            check_setting(name, value)
-
-
-def check_settings_or_zero(**settings: Any) -> None:
-    """To be replaced by the ranges of settings."""
-    for name, value in settings.items():
-        check_setting(name, value, zero=True)
 
 
 def hold(module: nn.Module, **settings: Any) -> None:

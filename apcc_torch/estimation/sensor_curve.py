@@ -105,7 +105,9 @@ class SensorCurve(Part):
         tangent = torch.cat((axis, T[..., :3, 2]), dim=-2) if self.tangents == "measured" else _spline(axis, position)
         # The length of the arc with this chord between these tangents: c h / sin h with h half their angle.
         cosine = (tangent[..., :-1, :] * tangent[..., 1:, :]).sum(-1, keepdim=True)
-        half = 0.5 * torch.acos(cosine.clamp(-1.0 + 1e-9, 1.0 - 1e-9))
+        # As near to one as the dtype tells from one: h = 0 has no quotient.
+        limit = 1.0 - max(1e-9, torch.finfo(cosine.dtype).eps)
+        half = 0.5 * torch.acos(cosine.clamp(-limit, limit))
         speed = chord * half / torch.sin(half)
         u = self.shares.to(T).unsqueeze(-1)
         u2, u3 = u * u, u * u * u

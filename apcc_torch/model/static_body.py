@@ -15,7 +15,7 @@ from apcc_torch.errors import ConfigError, ValueRangeError
 from apcc_torch.model.abscissae import MaterialPoints, decouple, located
 from apcc_torch.model.inertia import quadrature_nodes
 from apcc_torch.model.kinematic_model import KinematicModel
-from apcc_torch.part import Part, check_settings, hold
+from apcc_torch.part import Part, hold
 from apcc_torch.settings import Setting, aligned, check_setting
 from apcc_torch.shapes import batch_shape, check_same, check_tensor
 
@@ -63,7 +63,9 @@ class StaticBody(Part):
         if n_quadrature < 2:
             raise ValueRangeError(f"n_quadrature must be at least 2, got {n_quadrature}")
         given = {"axial": axial, "bending": bending, "torsion": torsion, "shear": shear}
-        check_settings(density=density, **given)
+        for name, value in {"density": density, **given}.items():
+            if value is not None:
+                check_setting(name, value)
         for coordinate in backbone.coordinates.pattern:
             if coordinate.name not in _RIGIDITY:
                 raise ConfigError(f"the elasticity of {coordinate.name!r} is not known")

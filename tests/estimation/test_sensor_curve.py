@@ -96,3 +96,13 @@ def test_bad_arguments(arguments: dict[str, object], error: type[ApccError], mes
         SensorCurve(**{"base_rotation": HANGING_BASE, "abscissae": ENDS, **arguments})  # type: ignore[arg-type]
     with pytest.raises(ShapeError, match="T must have shape"):
         SensorCurve(HANGING_BASE, ENDS)(torch.eye(4).double())
+
+
+@pytest.mark.parametrize("tangents", ["measured", "spline"])
+def test_a_straight_arm_has_a_straight_curve_in_single_precision_too(tangents: str) -> None:
+    curve = SensorCurve(HANGING_BASE.float(), ENDS.float(), tangents)
+    T = torch.eye(4).repeat(3, 1, 1)
+    T[:, :3, :3], T[:, 2, 3] = HANGING_BASE.float(), -ENDS.float()
+    want = torch.zeros(len(curve.abscissae), 3)
+    want[:, 2] = -curve.abscissae
+    torch.testing.assert_close(curve(T), want, rtol=0, atol=1e-6)
