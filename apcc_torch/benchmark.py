@@ -106,7 +106,8 @@ def main() -> None:
     try:
         check_words(sys.argv[1:], BenchmarkSettings)
     except ApccError as error:
-        sys.exit(f"apcc_torch.benchmark: {error}")
+        sys.stderr.write(f"apcc_torch.benchmark: {error}\n")
+        sys.exit(2)
     _hydra_main()
 
 

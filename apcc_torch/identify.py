@@ -13,7 +13,7 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 
 from apcc_torch.composition.arm_file import arm_override
-from apcc_torch.composition.help import describe
+from apcc_torch.composition.help import describe, for_manual
 from apcc_torch.composition.identify import IdentifySettings, known_arm
 from apcc_torch.composition.schema import check_words
 from apcc_torch.conf_path import conf_path
@@ -50,9 +50,6 @@ def with_arm(arguments: Sequence[str]) -> list[str]:
     """
     if any(argument.startswith(("arm=", "--config-name", "-cn")) for argument in arguments):
         return list(arguments)
-    if {"-h", "--help"} & set(arguments):
-        # The manual ends with every key and its value, and only a chosen arm has them all.
-        return [*arguments, "arm=ftdcr_v6"]
     data = next((argument.removeprefix("data=") for argument in arguments if argument.startswith("data=")), None)
     if data is None:
         return list(arguments)
@@ -65,7 +62,7 @@ def with_arm(arguments: Sequence[str]) -> list[str]:
 def main() -> None:
     """Console entry point."""
     try:
-        sys.argv[1:] = arm_override(with_arm(sys.argv[1:]))
+        sys.argv[1:] = arm_override(with_arm(for_manual(sys.argv[1:], "arm=ftdcr_v6")))
         check_words(sys.argv[1:], IdentifySettings)
     except ApccError as error:
         sys.stderr.write(f"{error}\n")

@@ -12,7 +12,7 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 
 from apcc_torch.composition.arm_file import arm_override
-from apcc_torch.composition.help import describe
+from apcc_torch.composition.help import describe, for_manual
 from apcc_torch.composition.realtime import RealtimeSettings
 from apcc_torch.composition.schema import check_words, schema
 from apcc_torch.conf_path import conf_path
@@ -47,15 +47,12 @@ def _hydra_main(cfg: DictConfig) -> None:
 
 def main() -> None:
     """Console entry point."""
-    asked = sys.argv[1:]
-    if {"-h", "--help"} & set(asked) and not any(argument.startswith("experiment=") for argument in asked):
-        # The manual ends with every key and its value, and only a chosen experiment has them all.
-        sys.argv.append("experiment=setpoint")
     try:
-        sys.argv[1:] = arm_override(sys.argv[1:])
+        sys.argv[1:] = arm_override(for_manual(sys.argv[1:], "experiment=setpoint"))
         check_words(sys.argv[1:], RealtimeSettings)
     except ApccError as error:
-        sys.exit(f"apcc_torch.robot: {error}")
+        sys.stderr.write(f"apcc_torch.robot: {error}\n")
+        sys.exit(2)
     _hydra_main()
 
 

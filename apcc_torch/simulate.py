@@ -14,7 +14,7 @@ from hydra.types import RunMode
 from omegaconf import DictConfig
 
 from apcc_torch.composition.arm_file import arm_override
-from apcc_torch.composition.help import describe
+from apcc_torch.composition.help import describe, for_manual
 from apcc_torch.composition.run_settings import SimulateSettings
 from apcc_torch.composition.schema import check_words, schema
 from apcc_torch.conf_path import conf_path
@@ -57,15 +57,12 @@ def _hydra_main(cfg: DictConfig) -> float | None:
 
 def main() -> None:
     """Console entry point."""
-    asked = sys.argv[1:]
-    if {"-h", "--help"} & set(asked) and not any(argument.startswith("experiment=") for argument in asked):
-        # The manual ends with every key and its value, and only a chosen experiment has them all.
-        sys.argv.append("experiment=kinematic")
     try:
-        sys.argv[1:] = with_batch(arm_override(sys.argv[1:]))
+        sys.argv[1:] = with_batch(arm_override(for_manual(sys.argv[1:], "experiment=kinematic")))
         check_words(sys.argv[1:], SimulateSettings)
     except ApccError as error:
-        sys.exit(f"apcc_torch.simulate: {error}")
+        sys.stderr.write(f"apcc_torch.simulate: {error}\n")
+        sys.exit(2)
     try:
         _hydra_main()
     finally:

@@ -17,6 +17,7 @@ import torch
 from torch import Tensor
 
 from apcc_torch import AdaptiveLaw, APCCController, InverseKinematics, PCCBackbone, SavitzkyGolay, StateFeedback
+from apcc_torch.control.length_bounds import LengthBounds
 from apcc_torch.control.trajectory import SineTrajectory
 from apcc_torch.model.backbone import HANGING
 from apcc_torch.simulation.kinematic import KinematicLog, simulate_feedback
@@ -45,7 +46,8 @@ def run(gains: tuple[Tensor, Tensor], way: str, periods: int, rows: int) -> Kine
         StateFeedback(backbone, SENSORS, gradient=gradient),
         SavitzkyGolay(15, 2),
         InverseKinematics(K, null_gain=1.0),
-        AdaptiveLaw(3, gamma, normalisation=10.0, reach=0.6),
+        AdaptiveLaw(3, gamma, normalisation=10.0),
+        bounds=LengthBounds(TRUE, SENSORS, lower=None, upper=None),
     )
     start = GUESS.expand(rows, 3)
     return simulate_feedback(controller, TRUE, start, PATH, (periods - 1) / RATE, RATE, checkpointed=checkpointed)

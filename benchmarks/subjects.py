@@ -19,7 +19,7 @@ from apcc_torch import (
     StateFeedback,
     decouple,
 )
-from apcc_torch.control.pid import TendonPID
+from apcc_torch.control.length_bounds import LengthBounds
 from apcc_torch.control.trajectory import SetPoint, SineTrajectory
 from apcc_torch.model.backbone import HANGING
 from apcc_torch.model.stiffness import scaled_stiffness
@@ -49,7 +49,8 @@ def controller(dtype: torch.dtype, tendons: bool = True) -> APCCController:
         StateFeedback(backbone, sensors),
         SavitzkyGolay(15, 2),
         InverseKinematics(1.8, null_gain=0.2),
-        AdaptiveLaw(3, 1.0, reach=0.6, normalisation=10.0),
+        AdaptiveLaw(3, 1.0, normalisation=10.0),
+        bounds=LengthBounds(torch.tensor(LENGTHS, dtype=dtype), sensors, lower=None, upper=None),
         routing=rack_routing(sensors) if tendons else None,
         elongation_bound=0.08 if tendons else None,
     )
@@ -102,14 +103,14 @@ def states(n: int, batch: int, dtype: torch.dtype) -> tuple[Tensor, Tensor, Tens
 def plant(rows: int) -> Plant:
     """The true arm of section V-B with payloads from 0 to 0.5 kg."""
     payload = torch.linspace(0.0, 0.5, rows, dtype=torch.float64)
-    return Plant(dynamics(6, torch.float64), rack_routing(torch.tensor(SENSORS, dtype=torch.float64)), TendonPID(),
-                 payload, 200.0)  # fmt: skip
+    tendons = rack_routing(torch.tensor(SENSORS, dtype=torch.float64))
+    return Plant(dynamics(6, torch.float64), tendons, None, payload, settle=0.0)
 
 
 def closed_loop(rows: int, duration: float, compile: str) -> DynamicLog:
     """Section V-B's closed loop: 100 Hz control, two plant steps a period."""
     target = SetPoint(torch.tensor([0.215, 0.03, -0.515], dtype=torch.float64).expand(rows, 3))
-    settings = DynamicSettings(duration, 100.0, 2, 0.0, compile)
+    settings = DynamicSettings(duration=duration, control_rate=100.0, compile=compile)
     first = torch.tensor(LENGTHS, dtype=torch.float64)
     return simulate_dynamic(plant(rows), controller(torch.float64), PoseSensors(), target, first, settings)
 

@@ -77,7 +77,7 @@ def test_help_teaches(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFix
     with suppress(SystemExit):
         main()
     printed = capsys.readouterr().out
-    assert "table.json" in printed and "grid=paper" in printed and "grid=small" in printed
+    assert "table.json" in printed and "    paper  " in printed and "    small  " in printed
     assert "experiments.common=[]" in printed and "[ours] how many of each experiment's set-points" in printed
     assert "hardware" not in printed and "guards" not in printed, "what it does not read"
 

@@ -130,8 +130,8 @@ def test_a_full_disk_ends_the_run_by_name_with_the_arm_held(tmp_path: Path) -> N
 def test_help_teaches(tmp_path: Path) -> None:
     done = robot(tmp_path, "--help", "experiment=setpoint", "hardware=dynamixel_optitrack")
     assert done.returncode == 0, done.stderr
-    choices = ("experiment:", "setpoint", "hardware: dynamixel_optitrack, lockstep, simulated")
-    meaning = "bus_watchdog: 0.1", "[ours] s, without a packet", "kind: apcc_torch.hardware.optitrack.sensor"
+    choices = ("\nexperiment\n", "    setpoint  ", "    dynamixel_optitrack  ", "    lockstep  ", "    simulated  ")
+    meaning = "hardware.actuator.bus_watchdog=0.1 s", "[ours] without a packet", "hardware.sensor  OptiTrackSensor"
     for part in (*choices, *meaning, "dry_run", "sensor_stale", "143", "robot_log"):
         assert part in done.stdout, part
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import re
 import textwrap
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import MISSING
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -103,17 +104,44 @@ def _keys_of(command: str, *, _root_: DictConfig) -> str:
 def _groups_of(command: str) -> str:
     folder = Path(conf_path())
     entries = yaml.safe_load((folder / f"{COMMANDS[command][1]}.yaml").read_text(encoding="utf-8"))["defaults"]
-    groups = [name for entry in entries if isinstance(entry, dict) for name in entry if (folder / name).is_dir()]
-    names = {group: sorted(path.stem for path in (folder / group).glob("*.yaml")) for group in groups}
-    width = max(map(len, names)) + 1
-    return "\n".join(
-        textwrap.fill(", ".join(names[group]), WIDTH, initial_indent=f"{group:<{width}}", subsequent_indent=" " * width)
-        for group in groups
-    )
+    groups = [name.removeprefix("override ") for entry in entries if isinstance(entry, dict) for name in entry]
+    lines = []
+    for group in groups:
+        files = sorted((folder / group).glob("*.yaml"))
+        lines += ["", group] if files else []
+        for path in files:
+            lines += textwrap.wrap(
+                _head(path), WIDTH, initial_indent=f"    {path.stem:<24} ", subsequent_indent=29 * " "
+            )
+    return "\n".join(lines)
+
+
+def _head(path: Path) -> str:
+    """The first sentence that a configuration says of itself."""
+    comments = re.match(r"((?:#.*\n)*)", path.read_text(encoding="utf-8"))[1]  # type: ignore[index]
+    words = " ".join(line.removeprefix("# ") for line in comments.splitlines() if "@package" not in line)
+    return re.split(r"\.(?: (?=[A-Z[])|$)", words)[0].replace("$", "$$")
+
+
+def for_manual(arguments: Sequence[str], word: str) -> list[str]:
+    """Arguments that, where they ask for the manual, make a choice without which not every key is there.
+
+    Args:
+        arguments: Of a command line.
+        word: The choice, GROUP=NAME, unless they choose of the group.
+    """
+    asked = [argument for argument in arguments if argument in ("-h", "--help")]
+    group = word.partition("=")[0]
+    if not asked or any(argument.startswith(f"{group}=") for argument in arguments):
+        return list(arguments)
+    rest = [argument for argument in arguments if argument not in asked]
+    # Hydra takes overrides in one piece only.
+    at = next((i for i, each in enumerate(rest) if "=" in each and not each.startswith("-")), len(rest))
+    return [*asked, *rest[:at], word, *rest[at:]]
 
 
 def describe(command: str, root: type[Settings], config: str | None = None) -> None:
-    """Makes two resolvers of a command's help template: `${groups_of:COMMAND}`, what can be chosen, and
+    """Makes two resolvers of a command's help template: `${groups_of:COMMAND}`, the choices of its groups, and
     `${keys_of:COMMAND}`, every key with the value that the command would run with.
 
     Args:
