@@ -60,7 +60,7 @@ class Arm(Settings):
         None, "m", OURS, "where a plant's sensors really are; null: as believed", rows="sections", least=0
     )
     mounts: Table | None = setting(
-        None, "m", OURS, "from the backbone to each sensed body, (x, y, z) in the axes there; null: none", rows="lists"
+        None, "m", OURS, "from the backbone to each sensed body, (x, y, z) in the axes there; null: none"
     )
     base: str = setting(
         "hanging", "", OURS, "hanging (pi about x, the arm at z <= 0) or standing", choices=tuple(BASES)
@@ -106,7 +106,7 @@ class Arm(Settings):
         None, "N m^2", OURS, "EI of the sections; null: from the reference section", rows="sections", above=0
     )
     rest_bend: Table | None = setting(
-        None, "rad", OURS, "bend (x, y) of each section without load; null: straight, as `dynamics` is", rows="lists"
+        None, "rad", OURS, "bend (x, y) of each section without load; null: straight, as `dynamics` is"
     )
     damping_ratio: Setting = setting(0.1, "s", PAPER, "D = damping_ratio K", rows="number", least=0)
 
@@ -126,7 +126,7 @@ class Arm(Settings):
                 raise ValueRangeError(f"{name} must be increasing, at least one, got {at.tolist()}")
             if not holds(at <= end):
                 raise ValueRangeError(f"{name} must lie on the arm, {float(end.max()):.4g} m long, got {at.tolist()}")
-        if self.true_sensors is not None and vector(self.true_sensors).shape != self.sensor_places().shape:
+        if self.true_sensors is not None and vector(self.true_sensors).shape[-1] != self.sensor_places().shape[-1]:
             raise ConfigError("true_sensors must have as many entries as sensors")
         for name in ("masses", "axial_rigidity", "bending_rigidity"):
             if getattr(self, name) is not None:

@@ -113,3 +113,22 @@ def test_a_gain_that_is_a_list_is_scaled_run_by_run() -> None:
     changes = [(f"adaptation.gamma=[1,2,{g}]", f"adaptation.gain_scale={s}") for g, s in ((3, 1), (5, 2))]
     law = law_of(Builder(stacked([changed("kinematic", *c) for c in changes]), points=2).controller())
     assert torch.diagonal(law.metric[:, 0], dim1=-2, dim2=-1).tolist() == [[1.0, 2.0, 3.0], [2.0, 4.0, 10.0]]
+
+
+@pytest.mark.parametrize(
+    ("one", "other"),
+    [
+        ("arm.masses=[1,1,1]", "arm.masses=[1,1,2]"),
+        ("arm.axial_rigidity=3", "arm.axial_rigidity=[3,4,5]"),
+        ("arm.sensors=[0.1,0.2,0.4]", "arm.sensors=[0.1,0.2,0.5]"),
+        ("arm.damping_ratio=0.1", "arm.damping_ratio=0.2"),
+        ("plant.arm.lengths=[0.1,0.25,0.24]", "plant.arm.lengths=[0.1,0.26,0.24]"),
+        ("plant.arm.true_sensors=[0.1,0.25,0.54]", "plant.arm.true_sensors=[0.1,0.26,0.54]"),
+    ],
+)
+def test_arms_that_differ_are_built_side_by_side(one: str, other: str) -> None:
+    runs = [changed("dynamic_run_2", change) for change in (one, other)]
+    assert structure(runs[0]) == structure(runs[1])
+    build = Builder(stacked(runs), 2)
+    plant = build.plant(build.grid()[1])
+    assert plant.straight(plant.payload.shape).arm.q.shape == (2, 30, 18) and build.controller().adaptive

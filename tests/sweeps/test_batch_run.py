@@ -96,6 +96,15 @@ def base(*changes: str) -> SimulateSettings:
                 "residual__sharpness": ("0.1", "0.4"),
             },
         ),
+        (
+            "dynamic_run_2",
+            DYNAMIC,
+            {
+                "plant__arm__true_sensors": ("[0.1,0.35,0.6]", "[0.11,0.36,0.58]"),
+                "arm__masses": ("[0.3,0.4,0.3]", "[0.2,0.5,0.3]"),
+                "bounds__lower": ("0.5", "[along,0.6,0.7]"),
+            },
+        ),
         ("tracking", (*DYNAMIC[:-1], "experiment.setpoints=null"), {"experiment__omega": ("1", "2")}),
     ],
 )
