@@ -4,26 +4,25 @@ from __future__ import annotations
 
 import logging
 import sys
-from contextlib import nullcontext
 from pathlib import Path
 
 import hydra
 import torch
-from hydra import compose, initialize_config_dir
+from hydra import compose
 from hydra.core.config_store import ConfigStore
-from hydra.core.global_hydra import GlobalHydra
 from hydra.core.hydra_config import HydraConfig
 from hydra.errors import HydraException
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
+from apcc_torch.composed import initialised
 from apcc_torch.composition.arm_file import arm_override
 from apcc_torch.composition.benchmark import BenchmarkSettings, PairSettings
 from apcc_torch.composition.help import describe
 from apcc_torch.composition.run_settings import SimulateSettings
 from apcc_torch.composition.schema import check_words, schema, sentence, typed
 from apcc_torch.conf_path import conf_path
-from apcc_torch.errors import ApccError, ConfigError
+from apcc_torch.errors import ConfigError, one_sentence
 from apcc_torch.files import write_atomically
 from apcc_torch.paper import benchmark_run as paper
 from apcc_torch.reading import plain
@@ -31,7 +30,6 @@ from apcc_torch.reading import plain
 log = logging.getLogger("apcc_torch.benchmark")
 
 ConfigStore.instance().store(name="benchmark_schema", node=schema(BenchmarkSettings))
-ConfigStore.instance().store(name="simulate_schema", node=schema(SimulateSettings))  # of the experiments it composes
 describe("benchmark", BenchmarkSettings)
 
 
@@ -66,9 +64,7 @@ def compose_pairs(config: BenchmarkSettings) -> paper.Pairs:
     Raises:
         ConfigError: A setting has no meaning.
     """
-    # Inside the program hydra is initialised already, with the user's own --config-dir where there is one.
-    ready = GlobalHydra.instance().is_initialized()
-    with nullcontext() if ready else initialize_config_dir(conf_path(), version_base="1.3"):
+    with initialised():
         return {
             name: {run: pair(config, names) for run, names in comparison.runs.items()}
             for name, comparison in config.grid.comparisons.items()
@@ -92,22 +88,15 @@ def run(cfg: DictConfig, folder: Path) -> str:
 @hydra.main(version_base="1.3", config_path=conf_path(), config_name="benchmark")
 def _hydra_main(cfg: DictConfig) -> None:
     folder = Path(HydraConfig.get().runtime.output_dir)
-    try:
+    with one_sentence(log.error):
         words = run(cfg, folder)
-    except ApccError as error:
-        # A wrong setting is the user's to mend: one sentence, no stack.
-        log.error("%s", error)
-        sys.exit(2)
     log.info("results in %s\n%s", folder, words)
 
 
 def main() -> None:
     """Console entry point."""
-    try:
+    with one_sentence(lambda said: sys.stderr.write(f"apcc_torch.benchmark: {said}\n")):
         check_words(sys.argv[1:], BenchmarkSettings)
-    except ApccError as error:
-        sys.stderr.write(f"apcc_torch.benchmark: {error}\n")
-        sys.exit(2)
     _hydra_main()
 
 

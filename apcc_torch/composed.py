@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from contextlib import nullcontext
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -68,6 +68,12 @@ class Composed:
         return text(self.settings)
 
 
+def initialised() -> AbstractContextManager[None]:
+    """Hydra on the package's configurations; as it is where it runs, with the folders that its user named."""
+    ready = GlobalHydra.instance().is_initialized()
+    return nullcontext() if ready else initialize_config_dir(conf_path(), version_base="1.3")
+
+
 def compose(*overrides: str) -> Composed:
     """Settings as `python -m apcc_torch.simulate` makes them of the same words.
 
@@ -82,11 +88,11 @@ def compose(*overrides: str) -> Composed:
         >>> composed.settings.controller.K, composed.settings.experiment.duration
         (1.2, 10.0)
     """
-    words, ready = arm_override(overrides), GlobalHydra.instance().is_initialized()
-    if not ready:
+    words = arm_override(overrides)
+    if not GlobalHydra.instance().is_initialized():
         check_words(words, SimulateSettings)
     try:
-        with nullcontext() if ready else initialize_config_dir(conf_path(), version_base="1.3"):
+        with initialised():
             cfg = hydra_compose("simulate", words)
     except (HydraException, OmegaConfBaseException) as error:
         raise ConfigError(sentence(error)) from error

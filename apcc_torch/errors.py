@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
 
 class ApccError(Exception):
     """Base of every error the toolkit raises on purpose.
@@ -57,3 +61,17 @@ class CompileError(ApccError, RuntimeError):
 
 class GradientError(ApccError, RuntimeError):
     """A derivative was asked for that is not provided."""
+
+
+@contextmanager
+def one_sentence(tell: Callable[[str], object]) -> Iterator[None]:
+    """Ends a program with exit code 2 where it refuses what its user can mend: one sentence, no stack.
+
+    Args:
+        tell: What takes the sentence.
+    """
+    try:
+        yield
+    except ApccError as error:
+        tell(str(error))
+        sys.exit(2)

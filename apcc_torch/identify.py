@@ -10,20 +10,19 @@ from pathlib import Path
 import hydra
 from hydra.core.config_store import ConfigStore
 from hydra.core.hydra_config import HydraConfig
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig
 
 from apcc_torch.composition.arm_file import arm_override
 from apcc_torch.composition.help import describe, for_manual
 from apcc_torch.composition.identify import IdentifySettings, known_arm
-from apcc_torch.composition.schema import check_words
+from apcc_torch.composition.schema import check_words, schema, typed
 from apcc_torch.conf_path import conf_path
-from apcc_torch.errors import ApccError, ConfigError
+from apcc_torch.errors import ConfigError, one_sentence
 from apcc_torch.experiments import identification
-from apcc_torch.reading import defaults, read
 
 log = logging.getLogger("apcc_torch.identify")
 
-ConfigStore.instance().store(name="identify_defaults", node=defaults(IdentifySettings))
+ConfigStore.instance().store(name="identify_schema", node=schema(IdentifySettings))
 describe("identify", IdentifySettings)
 
 
@@ -31,13 +30,9 @@ describe("identify", IdentifySettings)
 def _hydra_main(cfg: DictConfig) -> float:
     """One recording; returns the identified arm's tip error on what was held back, mm."""
     folder = Path(HydraConfig.get().runtime.output_dir)
-    try:
-        settings = read(OmegaConf.to_container(cfg), IdentifySettings)  # type: ignore[arg-type]
+    with one_sentence(log.error):
+        settings = typed(cfg, IdentifySettings)
         metrics, text = identification.run(settings, folder, log.info if settings.progress else log.debug)
-    except ApccError as error:
-        # A wrong setting or file is the user's to mend: one sentence, no stack.
-        log.error("%s", error)
-        sys.exit(2)
     log.info("results in %s\n%s", folder, text)
     return metrics["arm_identified_tip_rmse_mm"]
 
@@ -61,12 +56,9 @@ def with_arm(arguments: Sequence[str]) -> list[str]:
 
 def main() -> None:
     """Console entry point."""
-    try:
+    with one_sentence(lambda said: sys.stderr.write(f"{said}\n")):
         sys.argv[1:] = arm_override(with_arm(for_manual(sys.argv[1:], "arm=ftdcr_v6")))
         check_words(sys.argv[1:], IdentifySettings)
-    except ApccError as error:
-        sys.stderr.write(f"{error}\n")
-        sys.exit(2)
     _hydra_main()
 
 

@@ -90,10 +90,8 @@ class Part(Configurable, nn.Module):
     def _hold_one(self, name: str, value: Any, trailing: int) -> None:
         if name in self._modules:
             return  # nested settings, which the part of that name holds
-        if isinstance(value, Tensor):
-            hold_rows(self, **{name: (value, trailing)})
-        elif name not in self.__dict__.get("trailing_dimensions", {}):  # else the constructor made a tensor of it
-            setattr(self, name, value)
+        if isinstance(value, Tensor) or name not in self.__dict__.get("trailing_dimensions", {}):
+            hold_numbers(self, trailing, **{name: value})  # else the constructor made a tensor of it
 
     def derive(self) -> None:
         """What follows from the settings alone; called when they are held and when they are restored."""
@@ -203,6 +201,15 @@ def hold_rows(module: nn.Module, **tensors: tuple[Tensor | None, int]) -> None:
         trailing[name] = dimensions
 
 
+def hold_numbers(module: nn.Module, trailing: int = 0, /, **numbers: Any) -> None:
+    """Makes values a module's own: a tensor of so many trailing dimensions by `hold_rows`, anything else as it is."""
+    for name, value in numbers.items():
+        if isinstance(value, Tensor):
+            hold_rows(module, **{name: (value, trailing)})
+        else:
+            setattr(module, name, value)
+
+
 def _release(module: nn.Module, name: str) -> None:
     """Forgets an attribute, whatever it was held as."""
     for kept in (module.__dict__, module._buffers, module._parameters, module.__dict__["trailing_dimensions"]):
@@ -249,12 +256,3 @@ def _signature(cls: type[Any], kind: type[Kind]) -> inspect.Signature:
             keyword = inspect.Parameter.KEYWORD_ONLY
             settings.append(inspect.Parameter(each.name, keyword, default=default, annotation=each.type))
     return inspect.Signature([*first, *(p for p in plain if p.kind is p.KEYWORD_ONLY), *settings])
-
-
-def hold(module: nn.Module, **settings: Any) -> None:
-    """To be replaced by `Part.hold`."""
-    for name, value in settings.items():
-        if isinstance(value, Tensor):
-            hold_rows(module, **{name: (value, 0)})
-        else:
-            setattr(module, name, value)

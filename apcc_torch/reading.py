@@ -14,7 +14,7 @@ from torch import Tensor
 from apcc_torch.classes import Trust, class_named, name_of
 from apcc_torch.errors import ApccError, ConfigError
 from apcc_torch.part import part_of
-from apcc_torch.settings import Settings, about_of, default_of, did_you_mean, keys, names
+from apcc_torch.settings import Settings, about_of, default_of, did_you_mean, differs, keys, names
 
 Root = TypeVar("Root", bound=Settings)
 
@@ -44,10 +44,8 @@ def read(
     """
     if not isinstance(values, Mapping):
         raise ConfigError(f"{key or 'the settings'} must hold keys and values, got {values!r}")
-    known = [each.name for each in keys(root)]
     for name in values:
-        if name not in known:
-            raise ConfigError(f"{_join(key, str(name))} is no setting{did_you_mean(str(name), known)}")
+        check_key(str(name), root, key)
     # What only code may set comes along where values start from settings.
     taken = {} if start is None else {name: getattr(start, name) for name in names(root)}
     for each in keys(root):
@@ -60,6 +58,13 @@ def read(
             taken[each.name] = default
     with keyed(key):
         return root(**taken)
+
+
+def check_key(name: str, root: type[Settings], key: str = "") -> None:
+    """Raises ConfigError where a class of settings, which stand at `key`, has none of that name."""
+    known = [each.name for each in keys(root)]
+    if name not in known:
+        raise ConfigError(f"{_join(key, name)} is no setting{did_you_mean(name, known)}")
 
 
 @contextmanager
@@ -164,8 +169,8 @@ def deviations(settings: Settings) -> dict[str, Any]:
     """Settings that differ from their defaults, as plain values that `read` takes."""
     values = {}
     for each in keys(type(settings)):
-        value, default = getattr(settings, each.name), default_of(each)
-        if isinstance(value, Tensor) or value != default:
+        value = getattr(settings, each.name)
+        if differs(each, value):
             nested = isinstance(value, Settings) and about_of(each).base is None
             values[each.name] = deviations(value) if nested else _plain_field(each, value)
     return values

@@ -16,7 +16,7 @@ from apcc_torch.composition.help import describe, for_manual
 from apcc_torch.composition.realtime import RealtimeSettings
 from apcc_torch.composition.schema import check_words, schema
 from apcc_torch.conf_path import conf_path
-from apcc_torch.errors import ApccError
+from apcc_torch.errors import one_sentence
 from apcc_torch.experiments.folder import metrics_text
 from apcc_torch.hardware.stops import exit_code_table
 from apcc_torch.paper import arm_series as arm_run
@@ -32,12 +32,8 @@ OmegaConf.register_new_resolver("exit_codes", exit_code_table, replace=True)
 @hydra.main(version_base="1.3", config_path=conf_path(), config_name="realtime")
 def _hydra_main(cfg: DictConfig) -> None:
     folder = Path(HydraConfig.get().runtime.output_dir)
-    try:
+    with one_sentence(log.error):
         outcome, metrics = arm_run.run(cfg, folder)
-    except ApccError as error:
-        # A wrong setting is the user's to mend: one sentence, no stack.
-        log.error("%s", error)
-        sys.exit(2)
     level = logging.ERROR if outcome.reason.failed else logging.INFO
     log.log(level, "%s: %s; the arm is %s", outcome.reason.value, outcome.message, outcome.state.value)
     if metrics:
@@ -47,12 +43,9 @@ def _hydra_main(cfg: DictConfig) -> None:
 
 def main() -> None:
     """Console entry point."""
-    try:
+    with one_sentence(lambda said: sys.stderr.write(f"apcc_torch.robot: {said}\n")):
         sys.argv[1:] = arm_override(for_manual(sys.argv[1:], "experiment=setpoint"))
         check_words(sys.argv[1:], RealtimeSettings)
-    except ApccError as error:
-        sys.stderr.write(f"apcc_torch.robot: {error}\n")
-        sys.exit(2)
     _hydra_main()
 
 

@@ -170,12 +170,18 @@ def default_of(each: dataclasses.Field[Any]) -> Any:
     return each.default if each.default_factory is MISSING else each.default_factory()
 
 
+def differs(each: dataclasses.Field[Any], value: Any) -> bool:
+    """Whether a field's value is another than its default."""
+    default = default_of(each)
+    return isinstance(value, Tensor) or (value is not default and bool(value != default))
+
+
 def told(settings: Settings, everything: bool = False) -> list[str]:
     """Settings as "name=value": those that differ from their defaults, or everything."""
     words = []
     for each in fields(settings):
-        value, default = getattr(settings, each.name), default_of(each)
-        if everything or isinstance(value, Tensor) or (value is not default and value != default):
+        value = getattr(settings, each.name)
+        if everything or differs(each, value):
             shown = f"tensor{tuple(value.shape)}" if isinstance(value, Tensor) else repr(value)
             words.append(f"{each.name}={shown}")
     return words

@@ -18,7 +18,7 @@ from apcc_torch.composition.help import describe, for_manual
 from apcc_torch.composition.run_settings import SimulateSettings
 from apcc_torch.composition.schema import check_words, schema
 from apcc_torch.conf_path import conf_path
-from apcc_torch.errors import ApccError
+from apcc_torch.errors import one_sentence
 from apcc_torch.experiments.folder import metrics_text
 from apcc_torch.experiments.run import objective_in, run, settings_of
 from apcc_torch.sweeps import batch_run as batch
@@ -43,26 +43,19 @@ def _hydra_main(cfg: DictConfig) -> float | None:
         points = partial(batch_points, cfg, overrides, str(hydra_config.job.config_name))
     if hydra_config.mode == RunMode.MULTIRUN:
         return run_job(cfg, folder, overrides, f"{hydra_config.job.name}.log", points)
-    try:
+    with one_sentence(log.error):
         config = settings_of(cfg, folder)
         metrics = run(config, folder) if points is None else batch.run(config, points(), folder)
         value = objective_in(folder, config.objective)
-    except ApccError as error:
-        # A wrong setting is the user's to mend: one sentence, no stack.
-        log.error("%s", error)
-        sys.exit(2)
     log.info("results in %s\n%s", folder, metrics_text(metrics))
     return value
 
 
 def main() -> None:
     """Console entry point."""
-    try:
+    with one_sentence(lambda said: sys.stderr.write(f"apcc_torch.simulate: {said}\n")):
         sys.argv[1:] = with_batch(arm_override(for_manual(sys.argv[1:], "experiment=kinematic")))
         check_words(sys.argv[1:], SimulateSettings)
-    except ApccError as error:
-        sys.stderr.write(f"apcc_torch.simulate: {error}\n")
-        sys.exit(2)
     try:
         _hydra_main()
     finally:

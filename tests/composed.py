@@ -9,6 +9,7 @@ from hydra.core.config_store import ConfigStore
 from omegaconf import DictConfig, OmegaConf
 
 from apcc_torch.composition.arm_file import arm_override
+from apcc_torch.composition.identify import IdentifySettings
 from apcc_torch.composition.realtime import RealtimeSettings
 from apcc_torch.composition.run_settings import SimulateSettings
 from apcc_torch.composition.schema import schema, typed
@@ -16,6 +17,7 @@ from apcc_torch.conf_path import conf_path
 
 ConfigStore.instance().store(name="simulate_schema", node=schema(SimulateSettings))
 ConfigStore.instance().store(name="realtime_schema", node=schema(RealtimeSettings))
+ConfigStore.instance().store(name="identify_schema", node=schema(IdentifySettings))
 
 # Experiments that only the program for an arm, real or simulated, can run.
 ON_AN_ARM = {"calibration", "experiment_1", "experiment_2"}
@@ -41,6 +43,12 @@ def raw_realtime(*overrides: str) -> DictConfig:
 def composed_realtime(*overrides: str) -> RealtimeSettings:
     """The settings of a run in real time."""
     return typed(raw_realtime(*overrides), RealtimeSettings)
+
+
+def composed_identify(*overrides: str) -> IdentifySettings:
+    """The settings of an identification."""
+    with initialize_config_dir(conf_path(), version_base="1.3"):
+        return typed(compose("identify", arm_override(overrides)), IdentifySettings)
 
 
 @cache

@@ -24,13 +24,12 @@ from hydra import compose, initialize_config_dir
 from hydra.core.override_parser.overrides_parser import OverridesParser
 
 from apcc_torch import benchmark  # whose import registers their settings with hydra
-from apcc_torch.composition.arm_file import arm_override
 from apcc_torch.composition.benchmark import BenchmarkSettings
 from apcc_torch.composition.help import rows
 from apcc_torch.composition.identify import IdentifySettings
 from apcc_torch.composition.schema import typed
 from apcc_torch.conf_path import conf_path
-from composed import composed, composed_realtime
+from composed import composed, composed_identify, composed_realtime
 from doc_pages import PAGES, ROOT, Block, Command, commands, keys, name_of, python_blocks
 
 UNCHECKED_COMMANDS: dict[str, str] = {
@@ -84,18 +83,17 @@ def composed_benchmark(*overrides: str) -> BenchmarkSettings:
     return config
 
 
-def composed_identify(*overrides: str) -> IdentifySettings:
+def composed_with_arm(*overrides: str) -> IdentifySettings:
     """Identification's settings; the program finds the arm in a recording that names none."""
     arm = () if any(o.startswith("arm=") for o in overrides) else ("arm=trunk",)
-    with initialize_config_dir(conf_path(), version_base="1.3"):
-        return typed(compose("identify", arm_override([*overrides, *arm])), IdentifySettings)
+    return composed_identify(*overrides, *arm)
 
 
 PROGRAMS: dict[str, Callable[..., Any]] = {
     "simulate": composed,
     "robot": composed_realtime,
     "benchmark": composed_benchmark,
-    "identify": composed_identify,
+    "identify": composed_with_arm,
 }
 """A program of hydra's -> what composes and reads its settings."""
 

@@ -7,7 +7,6 @@ from typing import Any
 
 from apcc_torch.errors import ConfigError
 from apcc_torch.model.arm import Arm
-from apcc_torch.reading import deviations
 
 _SUFFIXES = (".yaml", ".yml")
 
@@ -33,7 +32,7 @@ def arm_override(arguments: Sequence[str]) -> list[str]:
         if files != paths:
             raise ConfigError(f"arm must name files or names, not both, got {argument}")
         arms = (Arm.load(path) for path in paths)
-        spelled += ["~arm", "arm=" + ",".join(_spelled({"name": arm.name} | deviations(arm)) for arm in arms)]
+        spelled += ["~arm", "arm=" + ",".join(_spelled(arm.entries()) for arm in arms)]
     return spelled
 
 

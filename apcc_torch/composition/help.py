@@ -16,7 +16,7 @@ from apcc_torch.composition.schema import typed
 from apcc_torch.conf_path import conf_path
 from apcc_torch.errors import ApccError
 from apcc_torch.reading import nested_in
-from apcc_torch.settings import Settings, about_of, default_of, keys
+from apcc_torch.settings import Settings, about_of, default_of, differs, keys
 
 WIDTH = 118
 COMMANDS: dict[str, tuple[type[Settings], str]] = {}
@@ -53,11 +53,11 @@ def rows(settings: Settings | type[Settings], prefix: str = "") -> Iterator[Row]
             yield Row(key, "null" if value is None else "", "", "", about.meaning)
             yield from rows(absent, f"{key}.")
         else:
-            default, source = default_of(each), about.source
-            if default is MISSING:
+            source = about.source
+            if default_of(each) is MISSING:
                 source = "to be set"
-            elif value is not default and value != default:
-                source = f"set; {source} {_shown(default)}"
+            elif differs(each, value):
+                source = f"set; {source} {_shown(default_of(each))}"
             yield Row(key, _shown(value), about.unit, source, about.meaning)
 
 

@@ -5,11 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-import yaml
-
-from apcc_torch.classes import Trust
 from apcc_torch.composition.run_settings import RunSettings
-from apcc_torch.errors import ConfigError
 from apcc_torch.hardware.calibration_confirmation import ConfirmationSettings
 from apcc_torch.hardware.calibration_measurement import MeasurementSettings
 from apcc_torch.hardware.devices import HardwareSettings
@@ -17,7 +13,6 @@ from apcc_torch.hardware.guards import GuardSettings
 from apcc_torch.hardware.ramp import RampSettings
 from apcc_torch.hardware.setup import LoopSettings
 from apcc_torch.native.compiled import MODES
-from apcc_torch.reading import read
 from apcc_torch.settings import OURS, PAPER, Settings, setting
 
 
@@ -65,16 +60,3 @@ class RealtimeSettings(RunSettings):
     dry_run: bool = setting(False, meaning="everything but torque; the log says what would be sent")
     view: bool = setting(True, meaning="the live view, where there is a terminal")
     log: bool = setting(True, meaning="write log.mcap")
-
-
-def from_text(content: str) -> RealtimeSettings:
-    """The settings of a file that may come from elsewhere, such as a log's: plain values, in which nothing is resolved.
-
-    Raises:
-        ConfigError, ValueRangeError: They have no meaning, or name a class that is neither of this package nor allowed.
-    """
-    try:
-        values = yaml.safe_load(content)
-    except yaml.YAMLError as error:
-        raise ConfigError(f"the settings are not a YAML file: {error}") from error
-    return read(values, RealtimeSettings, trust=Trust.OWN)

@@ -7,13 +7,15 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
+import yaml
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
+from apcc_torch.classes import Trust
 from apcc_torch.conf_path import conf_path
 from apcc_torch.errors import ConfigError
-from apcc_torch.reading import defaults, nested_in, plain, read
-from apcc_torch.settings import Settings, about_of, default_of, did_you_mean, keys
+from apcc_torch.reading import check_key, defaults, nested_in, plain, read
+from apcc_torch.settings import Settings, about_of, default_of, keys
 
 Root = TypeVar("Root", bound=Settings)
 
@@ -40,7 +42,7 @@ def _chosen(values: dict[str, Any], root: type[Settings]) -> dict[str, Any]:
         default = default_of(each)
         if about_of(each).base is not None:
             values[each.name] = {} if default is None else {"kind": values[each.name]["kind"]}
-        elif default is None and "Settings" in str(each.type):
+        elif default is None and nested_in(root, each.name) is not None:
             values[each.name] = {}
         elif isinstance(default, Settings):
             _chosen(values[each.name], type(default))
@@ -56,17 +58,15 @@ def check_words(words: Sequence[str], root: type[Settings]) -> None:
     for word in words:
         key = re.match(r"(\w+)([\w./@:-]*)=", word)
         if key is not None and key[1] in known:
-            _check_key(f"{key[1]}{key[2]}".split("."), root)
+            _check_path(f"{key[1]}{key[2]}".split("."), root)
         elif key is not None and key[1] not in (*groups, "hydra"):
-            raise ConfigError(f"{key[1]} is no setting{did_you_mean(key[1], known)}")
+            check_key(key[1], root)
 
 
-def _check_key(path: Sequence[str], root: type[Settings]) -> None:
+def _check_path(path: Sequence[str], root: type[Settings]) -> None:
     """As far as the classes are known before anything is chosen."""
     for depth, name in enumerate(path):
-        known = [each.name for each in keys(root)]
-        if name not in known:
-            raise ConfigError(f"{'.'.join(path[: depth + 1])} is no setting{did_you_mean(name, known)}")
+        check_key(name, root, ".".join(path[:depth]))
         nested = nested_in(root, name)
         if nested is None:
             return
@@ -112,3 +112,16 @@ def typed(cfg: DictConfig, root: type[Root]) -> Root:
 def text(settings: Settings) -> str:
     """Settings as YAML that reads back."""
     return OmegaConf.to_yaml(OmegaConf.create(plain(settings)))
+
+
+def from_text(content: str, root: type[Root]) -> Root:
+    """The settings of a file that may come from elsewhere, such as a log's: plain values, in which nothing is resolved.
+
+    Raises:
+        ConfigError, ValueRangeError: They have no meaning, or name a class that is neither of this package nor allowed.
+    """
+    try:
+        values = yaml.safe_load(content)
+    except yaml.YAMLError as error:
+        raise ConfigError(f"the settings are not a YAML file: {error}") from error
+    return read(values, root, trust=Trust.OWN)

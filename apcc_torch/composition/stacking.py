@@ -64,9 +64,14 @@ def _tensor(path: Path, about: About, value: Any, n_sections: int) -> Tensor:
     key = ".".join(path)
     if about.rows in ("gain", "task"):
         return gain_matrix(key, value, n_sections if about.rows == "gain" else 3)
-    if about.rows == "sections" and (isinstance(value, float | int) or is_profile(value)):
+    if _is_spread(about, value):
         return spread(key, value, n_sections)
     return torch.tensor(value, dtype=torch.int64 if isinstance(value, int) else torch.float64)
+
+
+def _is_spread(about: About, value: Any) -> bool:
+    """Whether a value stands for one number a section without naming them."""
+    return about.rows == "sections" and (isinstance(value, float | int) or is_profile(value))
 
 
 def leaves(settings: Settings, path: Path = ()) -> Iterator[tuple[Path, About, Any]]:
@@ -100,8 +105,7 @@ def _form(about: About, value: Any, n_sections: int) -> Hashable:
             return about.rows
         if about.apart:
             return bool(value > 0)
-        spreads = about.rows == "sections" and (isinstance(value, float | int) or is_profile(value))
-        sizes = (n_sections,) if spreads else _sizes(value)
+        sizes = (n_sections,) if _is_spread(about, value) else _sizes(value)
         if sizes is not None:
             return sizes
     return repr(value)

@@ -20,7 +20,7 @@ from apcc_torch.control.obstacles import Obstacle, length_and_direction
 from apcc_torch.control.tasks import JointedModel
 from apcc_torch.errors import ValueRangeError
 from apcc_torch.model.abscissae import decouple
-from apcc_torch.part import Part, hold
+from apcc_torch.part import Part, hold_numbers
 from apcc_torch.settings import Setting, aligned, check_setting
 
 
@@ -75,7 +75,7 @@ class ClearanceCost(Part):
         check_setting("gain", gain)
         if self_separation is not None:
             check_setting("self_separation", self_separation)
-        hold(self, radius=radius, activation=activation, gain=gain)
+        hold_numbers(self, radius=radius, activation=activation, gain=gain)
         self.n_points = points
         self.self_separation = self_separation
         self.obstacles = nn.ModuleList(obstacles)

@@ -7,7 +7,7 @@ from torch import Tensor
 
 from apcc_torch.errors import ValueRangeError
 from apcc_torch.modes import holds
-from apcc_torch.part import Part, hold, hold_rows
+from apcc_torch.part import Part, hold_numbers, hold_rows
 from apcc_torch.settings import Setting, aligned, check_setting
 from apcc_torch.shapes import check_finite, check_tensor
 
@@ -41,7 +41,7 @@ class Capsule(Obstacle):
         ends = {"start": start, "end": end}
         held = {name: (check_finite(name, check_tensor(name, value, (3,))), 1) for name, value in ends.items()}
         hold_rows(self, **held)
-        hold(self, radius=check_setting("radius", radius))
+        hold_numbers(self, radius=check_setting("radius", radius))
 
     def forward(self, p: Tensor) -> tuple[Tensor, Tensor]:
         """See `Obstacle`; on the segment itself the gradient is zero."""

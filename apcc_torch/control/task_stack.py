@@ -22,7 +22,7 @@ from apcc_torch.control.tasks import JointedModel, Task, TaskRate, TaskTarget, w
 from apcc_torch.errors import ShapeError, ValueRangeError
 from apcc_torch.linalg import damped_pseudo_inverse
 from apcc_torch.model.abscissae import decouple
-from apcc_torch.part import Part, hold, hold_rows
+from apcc_torch.part import Part, hold_numbers, hold_rows
 from apcc_torch.settings import Setting, aligned, check_setting
 from apcc_torch.shapes import check_positive, check_tensor
 
@@ -59,7 +59,7 @@ class TaskStack(Part):
         if not tasks:
             raise ValueRangeError("tasks must hold at least one task")
         check_setting("damping", damping, zero=True)
-        hold(self, damping=damping)
+        hold_numbers(self, damping=damping)
         if coordinate_weights is not None:
             check_positive("coordinate_weights", coordinate_weights)
         hold_rows(self, coordinate_weights=(coordinate_weights, 1))

@@ -24,7 +24,7 @@ from torch import Tensor
 from apcc_torch.control.gain import gain_matrix
 from apcc_torch.errors import ValueRangeError
 from apcc_torch.lie import so3
-from apcc_torch.part import Part, hold, hold_rows
+from apcc_torch.part import Part, hold_numbers, hold_rows
 from apcc_torch.settings import Setting, check_setting
 
 ROWS = {"position": 3, "orientation": 3, "direction": 2, "pose": 6}
@@ -109,7 +109,7 @@ class Task(Part):
         hold_rows(self, gain=(gain_matrix("gain", gain, 6 if what == "pose" else 3), 2))
         check_setting("weight", weight)
         check_setting("angular_weight", angular_weight)
-        hold(self, weight=weight, angular_weight=angular_weight)
+        hold_numbers(self, weight=weight, angular_weight=angular_weight)
         self.what = what
         self.abscissa = abscissa
         self.level = level

@@ -22,7 +22,7 @@ from torch import Tensor
 from apcc_torch.control.tasks import TaskRate, weighted_rows
 from apcc_torch.errors import ConfigError, ValueRangeError
 from apcc_torch.modes import holds
-from apcc_torch.part import Part, hold, hold_rows, refuse_parameter
+from apcc_torch.part import Part, hold_numbers, hold_rows, refuse_parameter
 from apcc_torch.settings import Setting, aligned, check_setting
 from apcc_torch.shapes import batch_shape, check_tensor
 
@@ -125,7 +125,7 @@ class ConstrainedVelocity(Part):
         if daqp is None:
             raise ConfigError("ConstrainedVelocity needs daqp: pip install 'apcc-torch[qp]'")
         refuse_parameter("damping", damping, "the program has no gradient; hand in a number")
-        hold(self, damping=check_setting("damping", damping))
+        hold_numbers(self, damping=check_setting("damping", damping))
 
     def forward(
         self,

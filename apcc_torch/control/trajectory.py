@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from apcc_torch.control.step_io import Target
-from apcc_torch.part import Part, hold, hold_rows
+from apcc_torch.part import Part, hold_numbers, hold_rows
 from apcc_torch.settings import Setting, aligned, check_setting
 from apcc_torch.shapes import check_finite, check_tensor
 
@@ -40,7 +40,7 @@ class SineTrajectory(Part):
         check_setting("omega", omega)
         centre, amplitude = (check_finite(n, check_tensor(n, v, (3,))) for n, v in {"r_0": r_0, "A": A}.items())
         hold_rows(self, r_0=(centre, 1), A=(amplitude, 1))
-        hold(self, omega=omega)
+        hold_numbers(self, omega=omega)
 
     def forward(self, time: Tensor) -> Target:
         """Target at time (...), s."""

@@ -20,7 +20,7 @@ from apcc_torch.estimation.weighted_estimate import WeightedEstimate, weighted_e
 from apcc_torch.model.static_body import StaticBody
 from apcc_torch.model.tendons import TendonRouting
 from apcc_torch.modes import full_precision
-from apcc_torch.part import Part, hold, hold_rows
+from apcc_torch.part import Part, hold_numbers, hold_rows
 from apcc_torch.settings import Setting, aligned, check_setting
 from apcc_torch.shapes import batch_shape, check_tensor
 
@@ -164,7 +164,7 @@ class ForceBalance(Part):
         self.routing = routing
         self.feedback = feedback
         self.limit = check_setting("limit", limit)
-        hold(
+        hold_numbers(
             self,
             damping_ratio=check_setting("damping_ratio", damping_ratio, zero=True),
             tendon_damping=check_setting("tendon_damping", tendon_damping, zero=True),

@@ -22,7 +22,7 @@ from apcc_torch.model.dynamics import SoftArmDynamics
 from apcc_torch.model.loads import Loads
 from apcc_torch.model.statics import Equilibrium, equilibrium, load_stiffness
 from apcc_torch.model.tendons import TendonRouting
-from apcc_torch.part import Part, hold, hold_rows
+from apcc_torch.part import Part, hold_numbers, hold_rows
 from apcc_torch.settings import Setting, aligned, check_setting
 from apcc_torch.shapes import batch_shape, check_finite, check_tensor
 
@@ -120,7 +120,7 @@ class LoadFromShape(Part):
         self.step = check_setting("step", step)
         self.limit = check_setting("limit", limit)
         hold_rows(self, abscissae=(abscissae, 1))
-        hold(self, **{f"{name}_noise": value for name, value in noise._asdict().items()})
+        hold_numbers(self, **{f"{name}_noise": value for name, value in noise._asdict().items()})
 
     def forward(
         self, y: Tensor, T: Tensor | None = None, u: Tensor | None = None, mask: Tensor | None = None

@@ -19,7 +19,7 @@ from apcc_torch.estimation.weighted_estimate import WeightedEstimate, weighted_e
 from apcc_torch.model.backbone import PCCBackbone
 from apcc_torch.model.dynamics import SoftArmDynamics
 from apcc_torch.model.tendons import TendonRouting
-from apcc_torch.part import Part, hold
+from apcc_torch.part import Part, hold_numbers
 from apcc_torch.settings import Setting, aligned, check_setting
 from apcc_torch.shapes import check_same, check_tensor
 
@@ -74,7 +74,7 @@ class MomentumObserver(Part):
         limit: float = 5.0,
     ) -> None:
         super().__init__()
-        hold(
+        hold_numbers(
             self,
             gain=check_setting("gain", gain),
             tendon_damping=check_setting("tendon_damping", tendon_damping, zero=True),

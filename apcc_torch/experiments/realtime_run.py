@@ -11,8 +11,8 @@ from pathlib import Path
 
 from apcc_torch.composition.build_realtime import RealtimeBuilder
 from apcc_torch.composition.calibrated import calibrated, load_calibration
-from apcc_torch.composition.realtime import RealtimeSettings, from_text
-from apcc_torch.composition.schema import text
+from apcc_torch.composition.realtime import RealtimeSettings
+from apcc_torch.composition.schema import from_text, text
 from apcc_torch.errors import DataError
 from apcc_torch.experiments.folder import versions
 from apcc_torch.files import write_json
@@ -149,7 +149,7 @@ def settings_of(record: RobotLog) -> RealtimeSettings:
     """
     if CONFIG not in record.attachments:
         raise DataError("the log carries no settings to build its controller from")
-    return from_text(record.attachments[CONFIG])
+    return from_text(record.attachments[CONFIG], RealtimeSettings)
 
 
 def replay_log(record: RobotLog) -> Replayed:

@@ -6,14 +6,12 @@ from pathlib import Path
 
 import numpy as np
 import torch
-import yaml
 from torch import Tensor
 
-from apcc_torch.classes import Trust
 from apcc_torch.composition.run_settings import SimulateSettings
+from apcc_torch.composition.schema import from_text
 from apcc_torch.errors import ApccError, DataError
 from apcc_torch.experiments.kinds import KINDS
-from apcc_torch.reading import read
 
 
 def load_run(folder: Path) -> tuple[SimulateSettings, dict[str, Tensor]]:
@@ -23,9 +21,8 @@ def load_run(folder: Path) -> tuple[SimulateSettings, dict[str, Tensor]]:
         DataError: config.yaml or trajectory.npz cannot be read, or the settings are not those of this version.
     """
     try:
-        values = yaml.safe_load((folder / "config.yaml").read_text(encoding="utf-8"))
-        config = read(values, SimulateSettings, trust=Trust.OWN)
-    except (OSError, UnicodeDecodeError, yaml.YAMLError, ApccError) as error:
+        config = from_text((folder / "config.yaml").read_text(encoding="utf-8"), SimulateSettings)
+    except (OSError, UnicodeDecodeError, ApccError) as error:
         raise DataError(f"config.yaml does not hold this version's settings: {str(error).splitlines()[0]}") from error
     try:
         with np.load(folder / "trajectory.npz") as archive:

@@ -246,6 +246,10 @@ class Arm(Settings):
         except (ConfigError, ValueRangeError) as error:
             raise type(error)(f"{path}: {error}") from error
 
+    def entries(self) -> dict[str, Any]:
+        """What its file holds: its name and what differs from the defaults, as plain values."""
+        return {"name": self.name} | deviations(self)
+
     def save(self, path: str | Path, comment: str = "") -> None:
         """Writes the arm as a file that `load` reads: its name and what differs from the defaults.
 
@@ -253,8 +257,7 @@ class Arm(Settings):
             path: The file.
             comment: Lines to stand above.
         """
-        values = {"name": self.name} | deviations(self)
-        text = yaml.safe_dump(values, sort_keys=False, default_flow_style=None, width=120)
+        text = yaml.safe_dump(self.entries(), sort_keys=False, default_flow_style=None, width=120)
         write_atomically(path, "".join(f"# {line}\n" for line in comment.splitlines()) + text)
 
 

@@ -15,7 +15,7 @@ from apcc_torch.errors import ConfigError, ValueRangeError
 from apcc_torch.model.abscissae import MaterialPoints, decouple, located
 from apcc_torch.model.inertia import quadrature_nodes
 from apcc_torch.model.kinematic_model import KinematicModel
-from apcc_torch.part import Part, hold
+from apcc_torch.part import Part, hold_numbers
 from apcc_torch.settings import Setting, aligned, check_setting
 from apcc_torch.shapes import batch_shape, check_same, check_tensor
 
@@ -72,7 +72,7 @@ class StaticBody(Part):
             if given[_RIGIDITY[coordinate.name][0]] is None:
                 raise ConfigError(f"{_RIGIDITY[coordinate.name][0]} must be given: the model has {coordinate.name}")
         self.backbone = backbone
-        hold(self, density=density, gravity_acceleration=check_setting("gravity", gravity, zero=True), **given)
+        hold_numbers(self, density=density, gravity_acceleration=check_setting("gravity", gravity, zero=True), **given)
         self.n_quadrature = n_quadrature
         self.derive()
 

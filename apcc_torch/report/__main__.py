@@ -12,7 +12,7 @@ from typing import TypeVar
 
 from tqdm import tqdm
 
-from apcc_torch.errors import ApccError
+from apcc_torch.errors import ApccError, one_sentence
 from apcc_torch.experiments.redrawing import draw_anew
 from apcc_torch.files import write_atomically
 from apcc_torch.report import pictures
@@ -189,12 +189,8 @@ def report(given: argparse.Namespace) -> list[Path]:
 
 def main(argv: Sequence[str] | None = None) -> None:
     """Console entry point."""
-    try:
+    with one_sentence(lambda said: sys.stderr.write(f"{said}\n")):
         written = report(arguments(argv))
-    except ApccError as error:
-        # What the user can mend: one sentence, no stack.
-        sys.stderr.write(f"{error}\n")
-        sys.exit(2)
     sys.stdout.write("\nwritten: " + ", ".join(str(path) for path in written) + "\n")
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterator
 from functools import cache
 from typing import Any, NamedTuple
@@ -30,8 +31,9 @@ def key_units() -> dict[str, str]:
 
 def _subclasses(base: Any) -> Iterator[Any]:
     for part in base.__subclasses__():
-        yield part
-        yield from _subclasses(part)
+        if part.__module__ in sys.modules:  # a module that was unloaded takes the names of its settings' types along
+            yield part
+            yield from _subclasses(part)
 
 
 class Label(NamedTuple):

@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 import math
 import os
-import sys
 import warnings
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -20,7 +19,7 @@ from hydra.experimental.callback import Callback
 from omegaconf import DictConfig, OmegaConf, open_dict, read_write
 
 from apcc_torch.conf_path import conf_path
-from apcc_torch.errors import ApccError, ConfigError
+from apcc_torch.errors import ConfigError, one_sentence
 from apcc_torch.experiments.run import PRUNED, objective_in
 from apcc_torch.sweeps.bars import SweepBars
 from apcc_torch.sweeps.batch_points import points_of
@@ -202,16 +201,13 @@ class Sweep(Callback):
 
     def on_multirun_start(self, config: DictConfig, **_: Any) -> None:
         """Checks what can be checked, clears the folder, starts the bars."""
-        try:
+        with one_sentence(log.error):
             side_by_side(config)
             for plugin in (config.hydra.launcher, config.hydra.sweeper):
                 check_installed(str(plugin._target_))
             check_jobs(config)
             folder = SweepFolder(make_absolute(config))
             prepare(folder, config)
-        except ApccError as error:
-            log.error("%s", error)
-            sys.exit(2)
         plan = planned(config)
         before = sum(1 for _ in folder.finished())
         launcher = str(config.hydra.launcher._target_).rpartition(".")[2]

@@ -3,28 +3,18 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import pytest
 import torch
-from hydra import compose, initialize_config_dir
-from hydra.core.config_store import ConfigStore
-from omegaconf import OmegaConf
 
 from apcc_torch.composition.identify import IdentifySettings, known_arm, parameters, recorded
 from apcc_torch.conf_path import conf_path
 from apcc_torch.errors import ConfigError, DataError
 from apcc_torch.identification.series import Series
-from apcc_torch.reading import defaults, read
+from apcc_torch.reading import defaults
+from composed import composed_identify
 
-ConfigStore.instance().store(name="identify_defaults", node=defaults(IdentifySettings))
 NAMES = sorted(path.stem for path in (Path(conf_path()) / "identification").glob("*.yaml"))
-
-
-def composed(*overrides: str) -> IdentifySettings:
-    with initialize_config_dir(conf_path(), version_base="1.3"):
-        values: Any = OmegaConf.to_container(compose("identify", list(overrides)))
-    return read(values, IdentifySettings)
 
 
 def recorded_with(settings: IdentifySettings, m: int, k: int, monkeypatch: pytest.MonkeyPatch) -> Series:
@@ -36,7 +26,7 @@ def recorded_with(settings: IdentifySettings, m: int, k: int, monkeypatch: pytes
 
 @pytest.mark.parametrize("name", NAMES)
 def test_every_arm_has_parameters(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    settings = composed(f"arm={name}")
+    settings = composed_identify(f"arm={name}")
     assert settings.arm.name == name
     driving = settings.arm.actuation.driving(settings.arm.n_tendons)
     recorded_with(settings, max(driving) + 1, len(settings.arm.sensor_places()), monkeypatch)
@@ -45,7 +35,7 @@ def test_every_arm_has_parameters(name: str, monkeypatch: pytest.MonkeyPatch) ->
 
 
 def test_an_arm_is_started_with_the_settings_of_another() -> None:
-    settings = composed("arm=trunk", "identification=ftdcr_v6")
+    settings = composed_identify("arm=trunk", "identification=ftdcr_v6")
     assert (settings.arm.name, settings.recording.time, settings.spread.gravity) == ("trunk", "timestamp", 5.0)
 
 
@@ -68,7 +58,7 @@ def test_settings_that_do_not_fit_are_refused(
     overrides: list[str], words: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def begin() -> None:
-        settings = composed("arm=ftdcr_v6", *overrides)
+        settings = composed_identify("arm=ftdcr_v6", *overrides)
         recorded_with(settings, 9, 1, monkeypatch)
         parameters(settings)
 
@@ -77,7 +67,7 @@ def test_settings_that_do_not_fit_are_refused(
 
 
 def test_something_must_be_fitted() -> None:
-    settings = composed("arm=ftdcr_v6")
+    settings = composed_identify("arm=ftdcr_v6")
     nothing = settings.spread.changed(**dict.fromkeys(defaults(type(settings.spread)), 0.0))
     with pytest.raises(ConfigError, match="nothing to fit"):
         parameters(settings.changed(spread=nothing))
@@ -85,11 +75,11 @@ def test_something_must_be_fitted() -> None:
 
 def test_data_and_its_layout_must_be_given() -> None:
     with pytest.raises(ConfigError, match="data must name"):
-        recorded(composed("arm=ftdcr_v6"))
+        recorded(composed_identify("arm=ftdcr_v6"))
     with pytest.raises(ConfigError, match=r"recording\.layout must be"):
-        composed("arm=ftdcr_v6", "data=x.csv", "recording.layout=odd")
+        composed_identify("arm=ftdcr_v6", "data=x.csv", "recording.layout=odd")
     with pytest.raises(ConfigError, match=r"recording\.inputs must name columns of x\.csv"):
-        recorded(composed("arm=ftdcr_v6", "data=x.csv", "recording.inputs=[]", "recording.layout=table"))
+        recorded(composed_identify("arm=ftdcr_v6", "data=x.csv", "recording.inputs=[]", "recording.layout=table"))
 
 
 def test_the_arm_is_told_by_the_recording(tmp_path: Path) -> None:

@@ -6,27 +6,19 @@ import json
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 import torch
-from hydra import compose, initialize_config_dir
-from hydra.core.config_store import ConfigStore
-from omegaconf import OmegaConf
 
 from apcc_torch.composition import identify as composition
-from apcc_torch.composition.identify import IdentifySettings
-from apcc_torch.conf_path import conf_path
 from apcc_torch.experiments.identification import Task, compare, error, identified
 from apcc_torch.identification.split import split, thinned
 from apcc_torch.identification.tendon_arm import TendonArm
 from apcc_torch.model.arm import Arm
-from apcc_torch.reading import defaults, read
 from commands import environment
+from composed import composed_identify
 from identified_arms import FIT, FITTED, READ, parameters, write_recording
-
-ConfigStore.instance().store(name="identify_defaults", node=defaults(IdentifySettings))
 
 
 def _identify(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
@@ -95,10 +87,7 @@ def test_wrong_files_end_in_one_sentence(tmp_path: Path) -> None:
 
 def _errors(data: Path, arm: str, samples: int) -> tuple[dict[str, float], int, int]:
     """Tip errors on what was held back, mm, the number of samples of the fit and of linear regression."""
-    with initialize_config_dir(conf_path(), version_base="1.3"):
-        overrides = [f"arm={arm}", f"data={data}", f"fit.samples={samples}", "fit.rounds=2"]
-        values: Any = OmegaConf.to_container(compose("identify", overrides))
-    settings = read(values, IdentifySettings)
+    settings = composed_identify(f"arm={arm}", f"data={data}", f"fit.samples={samples}", "fit.rounds=2")
     series = composition.recorded(settings)
     parts = split(series.groups, settings.split)
     used = thinned(parts.training, samples)

@@ -14,8 +14,8 @@ import yaml
 import apcc_torch
 from apcc_torch.classes import ALLOWED
 from apcc_torch.composition.build_realtime import RealtimeBuilder
-from apcc_torch.composition.realtime import RealtimeSettings, from_text
-from apcc_torch.composition.schema import schema, text
+from apcc_torch.composition.realtime import RealtimeSettings
+from apcc_torch.composition.schema import from_text, schema, text
 from apcc_torch.errors import ConfigError
 from apcc_torch.hardware.clock import MonotonicClock
 from apcc_torch.hardware.devices import HardwareSettings, devices
@@ -242,16 +242,16 @@ def test_a_log_builds_nothing_of_elsewhere_and_reads_no_environment(
     for group, values in changed.items():
         content[group] |= values
     with pytest.raises(ConfigError, match=re.escape(sentence)):
-        from_text(yaml.safe_dump(content))
+        from_text(yaml.safe_dump(content), RealtimeSettings)
 
 
 def test_a_logs_settings_come_back_whole() -> None:
     settings = composed_realtime("experiment=setpoint", "hardware=dynamixel_optitrack", "guards.endings.slack=hold")
-    assert from_text(text(settings)) == settings
+    assert from_text(text(settings), RealtimeSettings) == settings
     unresolved = text(settings).replace("port: /dev", "port: ${oc.env:HOME}/dev")
-    assert from_text(unresolved).hardware.actuator.port.startswith("${oc.env:HOME}")  # type: ignore[attr-defined]
+    assert from_text(unresolved, RealtimeSettings).hardware.actuator.port.startswith("${oc.env:HOME}")  # type: ignore[attr-defined]
     with pytest.raises(ConfigError, match="not a YAML file"):
-        from_text("a: !!python/object/apply:os.system ['true']")
+        from_text("a: !!python/object/apply:os.system ['true']", RealtimeSettings)
 
 
 def test_devices_take_any_world() -> None:

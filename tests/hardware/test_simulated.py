@@ -83,7 +83,7 @@ def test_motors_go_where_they_are_sent_in_ticks_and_at_their_speed() -> None:
 
 def test_the_arm_is_the_plant_of_the_simulations() -> None:
     """A commanded arm settles where the plant's statics have it: B^T q follows the motors up to the compliance."""
-    clock, actuator, sensor = lockstep("plant.K_I=0")
+    clock, actuator, sensor = lockstep("plant.pid.K_I=0")
     with actuator, sensor:
         actuator.arm()
         goal = np.repeat([-0.01, 0.0, 0.005], 3)
@@ -151,7 +151,7 @@ def test_noise_and_dropout_are_the_sensors() -> None:
 
 
 def test_slack_tendons_do_not_push() -> None:
-    clock, actuator, sensor = lockstep("plant.slack=true", "plant.friction=0.1")
+    clock, actuator, sensor = lockstep("plant.transmission.slack=true", "plant.transmission.friction=0.1")
     with actuator, sensor:
         actuator.arm()
         actuator.send(np.full(9, 0.03))
