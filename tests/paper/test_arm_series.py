@@ -22,7 +22,7 @@ from composed import composed_realtime, raw_realtime
 
 QUICK = (
     "hardware=lockstep", "hardware.world.step=0.01", "plant.settle=0.5", "loop.hold=0.0",
-    "loop.warm_up=3", "loop.fresh_frames=1", "view=false",
+    "loop.warm_up=3", "loop.fresh_frames=1", "view=false", "compile=off",
 )  # fmt: skip
 
 
