@@ -1,7 +1,8 @@
-"""Text that came from a file, made harmless before a terminal or a spreadsheet shows it."""
+"""Text that came from a file or a device, made harmless before a terminal or a spreadsheet shows it."""
 
 from __future__ import annotations
 
+import logging
 import re
 import unicodedata
 
@@ -26,6 +27,14 @@ def for_terminal(text: str) -> str:
     if text.isprintable():
         return text
     return "".join(c if c in KEPT or unicodedata.category(c) not in HIDDEN else ascii(c)[1:-1] for c in text)
+
+
+class PlainFormatter(logging.Formatter):
+    """Lines of a log whose text acts on no terminal; the programs' logging is set to it, in conf/."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        """See `logging.Formatter.format`."""
+        return for_terminal(super().format(record))
 
 
 def for_spreadsheet(text: str) -> str:
