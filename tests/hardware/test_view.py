@@ -44,7 +44,7 @@ def test_the_view_draws_and_gives_the_terminal_back() -> None:
         end = time.monotonic() + 5.0
         assert view.event is not None
         view.event = replace(view.event, message="body \x1b]0;owned\x07 is lost")
-        while "owned" not in terminal.getvalue() or "time" not in terminal.getvalue() and time.monotonic() < end:
+        while not all(word in terminal.getvalue() for word in ("owned", "time")) and time.monotonic() < end:
             time.sleep(0.02)
     drawn = terminal.getvalue()
     assert "\\x1b]0;owned\\x07" in drawn and "owned\x07" not in drawn
