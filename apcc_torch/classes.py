@@ -40,7 +40,7 @@ def class_named(key: str, name: str, base: type, trust: Trust = Trust.ANY) -> An
     check_trusted(key, name, trust)
     module, _, attribute = name.rpartition(".")
     here = str(Path.cwd())
-    if here not in sys.path and "" not in sys.path:
+    if not name.startswith(PACKAGE) and here not in sys.path and "" not in sys.path:
         # A console script does not look there, and `python -m` does.
         sys.path.append(here)
     try:

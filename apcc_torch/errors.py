@@ -6,6 +6,8 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
+from apcc_torch.plain_text import for_terminal
+
 
 class ApccError(Exception):
     """Base of every error the toolkit raises on purpose.
@@ -73,5 +75,5 @@ def one_sentence(tell: Callable[[str], object]) -> Iterator[None]:
     try:
         yield
     except ApccError as error:
-        tell(str(error))
+        tell(for_terminal(str(error)))
         sys.exit(2)

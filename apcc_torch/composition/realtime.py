@@ -45,10 +45,11 @@ class RealtimeSettings(RunSettings):
     """Root of `python -m apcc_torch.robot`."""
 
     compile: str = setting(
-        "aot",
+        "auto",
         "",
         OURS,
-        "the step as: aot, machine code (built once, then kept; eager without g++); off, eager torch; inductor",
+        "the step as: aot, machine code, built once, then kept; auto, aot where it can be had, else off, eager torch; "
+        "inductor",
         choices=MODES,
     )
     hardware: HardwareSettings = setting(factory=HardwareSettings, meaning="which devices")

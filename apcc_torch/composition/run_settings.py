@@ -62,7 +62,7 @@ class RunSettings(ControlSettings):
         "off",
         "",
         OURS,
-        "the loop as: off, eager torch; aot, machine code, built once; inductor",
+        "the loop as: off, eager torch; aot, machine code, built once; auto, aot where it can be had; inductor",
         choices=MODES,
     )
 

@@ -153,10 +153,13 @@ def settings_of(record: RobotLog) -> RealtimeSettings:
 
 
 def replay_log(record: RobotLog) -> Replayed:
-    """A log once more through the controller that its own settings describe.
+    """A log once more through the controller that its own settings describe; eagerly where it cannot be compiled here.
 
     Raises:
         DataError: The log has no settings, or no control step.
         ConfigError: Its settings have no meaning.
     """
-    return replay(record, RealtimeBuilder(settings_of(record)).control())
+    settings = settings_of(record)
+    if settings.compile == "aot":
+        settings = settings.changed(compile="auto")
+    return replay(record, RealtimeBuilder(settings).control())

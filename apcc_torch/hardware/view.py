@@ -10,6 +10,7 @@ import numpy as np
 from apcc_torch.hardware.control import Start
 from apcc_torch.hardware.interfaces import Array
 from apcc_torch.hardware.records import Event, Tick
+from apcc_torch.plain_text import for_terminal
 
 PERIOD = 0.1
 """s between two pictures."""
@@ -110,5 +111,5 @@ class LiveView:
     def _work(self) -> None:
         while not self.over.wait(PERIOD):
             lines = picture(self.tick, self.last, self.event)
-            self.terminal.write(HOME + "".join(f"{line}{CLEAR_LINE}\r\n" for line in lines) + CLEAR_BELOW)
+            self.terminal.write(HOME + "".join(f"{for_terminal(line)}{CLEAR_LINE}\r\n" for line in lines) + CLEAR_BELOW)
             self.terminal.flush()

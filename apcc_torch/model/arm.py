@@ -112,6 +112,8 @@ class Arm(Settings):
 
     def check(self) -> None:
         """Raises where entries differ in number, abscissae do not increase or lie beyond the arm, or none are there."""
+        if not self.name.isprintable() or "/" in self.name or "${" in self.name:
+            raise ConfigError(f"name must be printable, without / and ${{: runs are called by it, got {self.name!r}")
         lengths = self.rest_lengths()
         n_b = lengths.shape[-1]
         if not n_b:

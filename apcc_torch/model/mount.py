@@ -10,7 +10,6 @@ J_m the mount's body Jacobian at the flange. The rigid chain itself is pytorch-k
 
 from __future__ import annotations
 
-import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 from typing import Any
 
@@ -18,12 +17,16 @@ import pytorch_kinematics as pk
 import torch
 from torch import Tensor
 
-from apcc_torch.errors import ConfigError, DataError
-from apcc_torch.lie import se3, so3
+from apcc_torch.errors import DataError
+from apcc_torch.lie import se3
 from apcc_torch.model.abscissae import decouple
 from apcc_torch.model.kinematic_model import KinematicModel
+from apcc_torch.model.urdf import RigidJoint, joints_between
 from apcc_torch.part import Part, hold_rows
 from apcc_torch.shapes import batch_shape, check_same, check_tensor
+
+MOST_JOINTS = 100
+"""Of a chain, fixed ones too: the library copies, once a joint, all that hangs on it."""
 
 
 class RigidMount(Part):
@@ -39,8 +42,8 @@ class RigidMount(Part):
         placement: (..., 4, 4) pose of that link in the world; None for the identity.
 
     Raises:
-        DataError: The text is not a URDF.
-        ConfigError: A link's name is unknown.
+        DataError: The text is not a URDF, or a joint in between is none that a mount can have; see `model.urdf`.
+        ConfigError: A link's name is unknown, or no chain leads from one to the other.
     """
 
     placement: Tensor
@@ -52,26 +55,28 @@ class RigidMount(Part):
         self, urdf: str | Path, end_link: str, root_link: str | None = None, placement: Tensor | None = None
     ) -> None:
         super().__init__()
-        self.urdf = urdf.read_text(encoding="utf-8") if isinstance(urdf, Path) else urdf
+        self.urdf = _text_of(urdf) if isinstance(urdf, Path) else urdf
         self.end_link, self.root_link = end_link, root_link
         self.derive()
         if placement is None:
             placement = torch.eye(4, dtype=torch.float64)
         check_tensor("placement", placement, (4, 4))
         hold_rows(self, placement=(placement, 2))
-        limits, speeds = self._chain.get_joint_limits(), self._chain.get_joint_velocity_limits()
-        for name, values in {"lower": limits[0], "upper": limits[1], "velocity": speeds[1]}.items():
+        for name in ("lower", "upper", "velocity"):
+            values = [getattr(joint, name) for joint in self._joints]
             self.register_buffer(name, torch.tensor(values, dtype=torch.float64))
 
     def derive(self) -> None:
         """The chain."""
         with torch.device("cpu"):  # whatever the default device is: the library reads values
-            self._chain = _serial_chain(self.urdf, self.end_link, self.root_link)
+            joints = joints_between(self.urdf, self.root_link, self.end_link)
+            self._chain = _serial_chain(joints)
+        self._joints = [joint for joint in joints if joint.moves != "fixed"]
         # The chain keeps its constants to itself; one copy serves each dtype and device that it is asked for in.
         self._copies = {(torch.float64, torch.device("cpu")): self._chain}
 
     def __getstate__(self) -> dict[str, Any]:
-        return {name: value for name, value in vars(self).items() if name not in ("_chain", "_copies")}
+        return {name: value for name, value in vars(self).items() if name not in ("_joints", "_chain", "_copies")}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         super().__setstate__(state)
@@ -89,8 +94,7 @@ class RigidMount(Part):
     @property
     def joint_names(self) -> list[str]:
         """The joints' names, in order."""
-        names: list[str] = self._chain.get_joint_parameter_names()
-        return names
+        return [joint.name for joint in self._joints]
 
     def pose_and_body_jacobian(self, joints: Tensor) -> tuple[Tensor, Tensor]:
         """The flange's pose (..., 4, 4), world frame, and body Jacobian (..., 6, m), angular rows first.
@@ -234,31 +238,25 @@ class MountedArm(Part):
         return T[..., 0, :, :], J_b[..., 0, :, :]
 
 
-def _serial_chain(text: str, end_link: str, root_link: str | None) -> pk.SerialChain:
-    """The chain in float64, its constants read anew from the text: the library keeps them to single precision."""
+def _text_of(path: Path) -> str:
     try:
-        root = ElementTree.fromstring(text)
-        tree = pk.build_chain_from_urdf(text.encode())
-    except (ElementTree.ParseError, AttributeError, KeyError, ValueError, UnboundLocalError) as error:
-        raise DataError(f"the mount's text is not a URDF of links and joints: {error}") from error
-    for name in (end_link, *(() if root_link is None else (root_link,))):
-        if tree.find_frame(name) is None:
-            raise ConfigError(f"the mount has no link {name}; it has {', '.join(tree.get_link_names())}")
-    for name in tree.get_frame_names(exclude_fixed=False):
-        tree.find_frame(name).link.offset = None  # a single-precision identity: a URDF's links have no origin
-    for joint in root.iter("joint"):
-        child = joint.find("child")
-        frame = None if child is None else tree.find_frame(child.attrib["link"])
-        if frame is None:
-            continue
-        frame.joint.offset = pk.Transform3d(matrix=_origin(joint.find("origin")).unsqueeze(0), dtype=torch.float64)
-        if joint.attrib.get("type") == "continuous":
-            frame.joint.limits = None  # only a speed limit; the library reads missing positions as zeros
-        axis = joint.find("axis")
-        if axis is not None:
-            direction = _numbers(axis.attrib["xyz"])
-            frame.joint.axis = direction / direction.norm()
-    return pk.SerialChain(tree, end_link, root_link or "", dtype=torch.float64)
+        return path.read_text(encoding="utf-8-sig")
+    except (OSError, UnicodeDecodeError) as error:
+        raise DataError(f"{path} cannot be read as a mount's URDF: {error}") from error
+
+
+def _serial_chain(joints: list[RigidJoint]) -> pk.SerialChain:
+    """The library's chain in float64. Its links are numbered: what their names are is none of its business."""
+    if len(joints) > MOST_JOINTS:
+        raise DataError(f"the mount's URDF has {len(joints)} joints in a row, and may have {MOST_JOINTS}")
+    frame = root = pk.Frame("0", pk.Link("0"))
+    for k, joint in enumerate(joints, 1):
+        offset = pk.Transform3d(matrix=joint.origin.unsqueeze(0), dtype=torch.float64)
+        below = pk.Frame(str(k), pk.Link(str(k)), pk.Joint(str(k), offset, joint.moves, joint.axis, torch.float64))
+        below.joint.axis = joint.axis  # as it is, not made of length 1 once more
+        frame.children = [below]
+        frame = below
+    return pk.SerialChain(pk.Chain(root, torch.float64), frame.name, dtype=torch.float64)
 
 
 def _copied(chain: pk.SerialChain, dtype: torch.dtype, device: torch.device) -> pk.SerialChain:
@@ -266,17 +264,3 @@ def _copied(chain: pk.SerialChain, dtype: torch.dtype, device: torch.device) -> 
     with torch.device("cpu"):
         copied = pk.SerialChain(chain, chain._serial_frames[-1].name, dtype=torch.float64)
     return copied.to(dtype=dtype, device=device)
-
-
-def _numbers(text: str) -> Tensor:
-    return torch.tensor([float(word) for word in text.split()], dtype=torch.float64)
-
-
-def _origin(element: ElementTree.Element | None) -> Tensor:
-    """A URDF origin as a pose (4, 4): roll, pitch and yaw about fixed axes, then the translation."""
-    given = {} if element is None else element.attrib
-    roll, pitch, yaw = _numbers(given.get("rpy", "0 0 0")).unbind()
-    zero = torch.zeros_like(roll)
-    turns = [torch.stack(w) for w in ((zero, zero, yaw), (zero, pitch, zero), (roll, zero, zero))]
-    Z, Y, X = (so3.exp(w) for w in turns)
-    return se3.pose(Z @ Y @ X, _numbers(given.get("xyz", "0 0 0")))

@@ -1,8 +1,7 @@
-"""Compiles C++ into a shared library, and keeps it."""
+"""Compiles C++ into a shared library."""
 
 from __future__ import annotations
 
-import ctypes
 import hashlib
 import os
 import shutil
@@ -11,21 +10,13 @@ import tempfile
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 from pathlib import Path
-from typing import Any
 
 from apcc_torch.errors import CompileError
+from apcc_torch.native.library import keep, private_folder
 from apcc_torch.native.source import Source
 
 # Values that are not numbers keep their meaning, so no -ffast-math; errno and traps are nobody's business here.
 FLAGS = ("-std=c++17", "-march=native", "-fPIC", "-fno-math-errno", "-fno-trapping-math", "-Wno-psabi")
-
-
-def cache_folder() -> Path:
-    """Where libraries are kept: APCC_CACHE, else apcc_torch in the user's cache folder."""
-    named = os.environ.get("APCC_CACHE")
-    if named:
-        return Path(named)
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "apcc_torch"
 
 
 def compiler() -> str:
@@ -53,9 +44,12 @@ def flags(lanes: int) -> tuple[str, ...]:
 
 @cache
 def target(compiler_path: str) -> str:
-    """What the compiler says of itself and of this machine: a library is good only where this is the same."""
-    command = [compiler_path, *FLAGS, "-dM", "-E", "-x", "c++", os.devnull]
-    return subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    """What the compiler says of itself and of this machine: a library is good only where this is the same.
+
+    Raises:
+        CompileError: It does not say.
+    """
+    return _run([compiler_path, *FLAGS, "-dM", "-E", "-x", "c++", os.devnull])
 
 
 def widest_vector(compiler_path: str) -> int:
@@ -67,37 +61,31 @@ def widest_vector(compiler_path: str) -> int:
     return 16
 
 
-def _library(name: str) -> Path:
-    """Where the library of this name is kept, for this compiler and machine."""
-    told = f"{target(compiler())}{flags(1)}{flags(2)}"
-    machine = hashlib.sha256(told.encode()).hexdigest()[:16]
-    return cache_folder() / f"{name}-{machine}.so"
-
-
-def cached(name: str) -> Path | None:
-    """The library of this name, if it was built before.
+def library_name(name: str) -> str:
+    """The file name of a library, for this compiler and machine.
 
     Raises:
         CompileError: There is no compiler: nothing tells then for which machine a library was built.
     """
-    library = _library(name)
-    return library if library.exists() else None
+    told = f"{target(compiler())}{flags(1)}{flags(2)}"
+    return f"{name}-{hashlib.sha256(told.encode()).hexdigest()[:16]}.so"
 
 
 def built(source: Source, name: str) -> Path:
-    """Compiles a program to the shared library of this name.
+    """Compiles a program to the shared library of this file name.
 
     Raises:
-        CompileError: There is no compiler, or it refuses.
+        CompileError: There is no compiler, it refuses, or the library cannot be kept.
     """
-    library = _library(name)
-    library.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(dir=library.parent) as folder:
-        _compile(compiler(), source, Path(folder), library)
-    return library
+    home = private_folder()
+    try:
+        with tempfile.TemporaryDirectory(dir=home) as folder:
+            return keep(_compile(compiler(), source, Path(folder)), name)
+    except OSError as error:
+        raise CompileError(f"machine code cannot be built in {home}: {error.strerror or error}") from error
 
 
-def _compile(cxx: str, source: Source, folder: Path, library: Path) -> None:
+def _compile(cxx: str, source: Source, folder: Path) -> Path:
     objects = []
     (folder / "header.hpp").write_text(source.header)
     for k, body in enumerate(source.parts):
@@ -112,18 +100,16 @@ def _compile(cxx: str, source: Source, folder: Path, library: Path) -> None:
             job.result()
     made = folder / "made.so"
     _run([cxx, "-shared", "-pthread", *map(str, objects), "-o", str(made)])
-    made.replace(library)  # whole or not at all, whoever else builds the same
+    return made
 
 
-def _run(command: list[str]) -> None:
-    done = subprocess.run(command, capture_output=True, text=True)
+def _run(command: list[str]) -> str:
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, errors="replace")
+    except OSError as error:
+        raise CompileError(f"{command[0]} cannot be run: {error.strerror or error}") from error
     if done.returncode:
-        raise CompileError(f"{command[0]} failed: {done.stderr.strip()[-2000:]}")
-
-
-def loaded(library: Path) -> Any:
-    """The program's entry point."""
-    entry = ctypes.CDLL(str(library)).run
-    entry.restype = None
-    entry.argtypes = [ctypes.c_long, ctypes.c_long, ctypes.c_int, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p]
-    return entry
+        said = done.stderr.strip().splitlines()
+        why = next((line for line in said if "error" in line), said[-1] if said else f"exit code {done.returncode}")
+        raise CompileError(f"{command[0]} failed: {why}")
+    return done.stdout

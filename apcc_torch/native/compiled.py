@@ -13,7 +13,7 @@ from apcc_torch.native.function import NativeFunction
 
 log = logging.getLogger(__name__)
 
-MODES = ("off", "inductor", "aot")
+MODES = ("off", "inductor", "aot", "auto")
 
 
 class Step(Protocol):
@@ -38,10 +38,21 @@ class TorchStep:
 
     def __init__(self, module: nn.Module, inductor: bool = False) -> None:
         self.module = torch.compile(module, fullgraph=True, dynamic=False) if inductor else module
+        self._named = type(module).__name__
 
     def __call__(self, *args: Any, repeats: int = 1) -> Any:
-        """See `Step`."""
-        result = self.module(*args)
+        """See `Step`.
+
+        Raises:
+            CompileError: `torch.compile` cannot compile it.
+        """
+        try:
+            result = self.module(*args)
+        except RuntimeError as error:
+            if not type(error).__module__.startswith(("torch._dynamo", "torch._inductor")):
+                raise
+            why = str(error).strip().splitlines()[0]
+            raise CompileError(f"{self._named} is not compiled by torch; compile=off runs it eagerly: {why}") from error
         for _ in range(repeats - 1):
             first = result[0] if type(result) is tuple else result
             result = self.module(first, *args[1:])
@@ -53,18 +64,17 @@ def compiled(
 ) -> Step:
     """The module as a step that is run as `mode` says.
 
-    Where "aot" cannot be had, for want of a compiler or because the module uses an operation that it does not know, the
-    log says so in one line and the step is run eagerly.
-
     Args:
         module: Of nested tuples of tensors; its result does not depend on branches on their values.
         example: One row of its arguments, without leading dimensions.
-        mode: "off" runs it eagerly, "inductor" through torch.compile, "aot" as a library built ahead of time and kept.
+        mode: "off" runs it eagerly, "inductor" through torch.compile, "aot" as a library built ahead of time and kept;
+            "auto" is "aot" where that can be had, else the log says in one line why not, and it is run eagerly.
         rows: How many rows it will be run on; what is built is built for these.
         carries: See `NativeFunction`.
 
     Raises:
         ValueRangeError: There is no such mode.
+        CompileError: "aot" is asked for and cannot be had.
 
     Example:
         >>> step = compiled(torch.nn.Tanh(), (torch.tensor(0.0),), mode="off")
@@ -73,11 +83,15 @@ def compiled(
     """
     if mode not in MODES:
         raise ValueRangeError(f"compile must be one of {', '.join(MODES)}, got {mode!r}")
-    if mode == "aot":
+    if mode in ("aot", "auto"):
         try:
             function = NativeFunction(module, example, carries)
             function.entry(function.lanes(rows))
             return function
         except CompileError as error:
+            if mode == "aot":
+                raise CompileError(
+                    f"{type(module).__name__} is not compiled; compile=auto or off runs it eagerly: {error}"
+                ) from error
             log.warning("%s is not compiled and runs eagerly: %s", type(module).__name__, error)
     return TorchStep(module, mode == "inductor")

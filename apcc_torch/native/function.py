@@ -12,8 +12,9 @@ from torch import Tensor, nn
 from torch.func import functional_call
 
 from apcc_torch.errors import CompileError, DtypeError, ShapeError, ValueRangeError
-from apcc_torch.native.build import built, cache_folder, cached, compiler, loaded, widest_vector
+from apcc_torch.native.build import built, compiler, library_name, widest_vector
 from apcc_torch.native.fingerprint import fingerprint
+from apcc_torch.native.library import cache_folder, kept, loaded
 from apcc_torch.native.source import program
 from apcc_torch.native.structure import any_double, described, flattened, rebuilt
 from apcc_torch.native.trace import Leaf, traced
@@ -108,12 +109,15 @@ class NativeFunction:
         return [(k, k) for k in range(len(flattened(first)))]
 
     def entry(self, lanes: int) -> Any:
-        """The compiled code for so many rows at once, built where it is not there yet."""
+        """The compiled code for so many rows at once, built where it is not there yet, or damaged.
+
+        Raises:
+            CompileError: It cannot be built, kept or loaded.
+        """
         if lanes not in self._entries:
-            name = fingerprint(
-                self.module, described(self.example), str(self._carried), f"{lanes} lanes of {self._dtype}"
-            )
-            library = cached(name)
+            form = described(self.example), str(self._carried), f"{lanes} lanes of {self._dtype}"
+            name = library_name(fingerprint(self.module, *form))
+            library = kept(name)
             if library is None:
                 log.info("building machine code for %s, once; it is kept in %s", self._named, cache_folder())
                 with torch.inference_mode(False):

@@ -32,6 +32,7 @@ from torch import Tensor
 from apcc_torch.errors import ConfigError, DataError, ShapeError
 from apcc_torch.files import write_atomically
 from apcc_torch.lie.rotations import quaternion_rotation
+from apcc_torch.plain_text import for_spreadsheet
 from apcc_torch.recordings.csv_table import CsvTable, read_table
 from apcc_torch.shapes import check_tensor
 
@@ -264,7 +265,7 @@ def save_recording(recording: Recording, path: str | Path) -> None:
         blocks.append(recording.target)
     table = torch.cat([block.to(torch.float64) for block in blocks], dim=-1).tolist()
     flags = {i for i, name in enumerate(header) if name.endswith("_tracked")}
-    lines = [",".join(header)]
+    lines = [",".join(map(for_spreadsheet, header))]
     for row in table:
         cells = (str(int(x)) if i in flags else repr(x) if math.isfinite(x) else "" for i, x in enumerate(row))
         lines.append(",".join(cells))

@@ -13,6 +13,7 @@ from typing import NamedTuple, Never, TextIO
 
 from tqdm import tqdm
 
+from apcc_torch.plain_text import for_terminal
 from apcc_torch.sweeps.sweep_folder import PROGRESS, SweepFolder, job_name
 
 PERIOD = 0.5
@@ -109,7 +110,7 @@ class SweepBars:
                 self._bars.pop().close()
 
     def _draw_job(self, row: int, job: Running) -> None:
-        label = f"  {job.name}: {job.label}"
+        label = for_terminal(f"  {job.name}: {job.label}")
         if row >= len(self._bars):
             self._bars.append(self._bar(row, 1, label))
         bar = self._bars[row]

@@ -27,6 +27,7 @@ from apcc_torch.experiments.folder import progress_bar, versions
 from apcc_torch.experiments.kinds import BATCHED, kind_of
 from apcc_torch.experiments.run import METRICS
 from apcc_torch.files import write_atomically, write_json
+from apcc_torch.plain_text import for_spreadsheet
 from apcc_torch.reading import plain
 from apcc_torch.sweeps.batch_chunk import ChunkResult, Task, chosen, compute, draw, is_finite, rank, read_part
 
@@ -164,12 +165,12 @@ def table(points: Sequence[Point], whole: ChunkResult) -> str:
     names = list(dict.fromkeys(name for metrics in whole.metrics.values() for name in metrics))
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(["point", *points[0].settings, *names])
+    writer.writerow(map(for_spreadsheet, ("point", *points[0].settings, *names)))
     for point in points:
         metrics = whole.metrics.get(point.number, {})
         # repr: a number that is read back is the same to the last bit.
         numbers = [repr(metrics[name]) if name in metrics else "" for name in names]
-        writer.writerow([point.number, *point.settings.values(), *numbers])
+        writer.writerow([point.number, *map(for_spreadsheet, point.settings.values()), *numbers])
     return text.getvalue()
 
 

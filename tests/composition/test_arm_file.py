@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+import yaml
 from hydra.core.override_parser.overrides_parser import OverridesParser
 
 from apcc_torch.composition.arm_file import arm_override
@@ -39,6 +40,14 @@ def test_a_file_without_a_name_is_called_as_the_file_is(tmp_path: Path) -> None:
     assert arm_override([f"arm={tmp_path}/mine.yml"]) == ["~arm", "arm={name:'mine',lengths:[0.1]}"]
     swept = arm_override([f"arm={tmp_path}/mine.yml,{tmp_path}/yours.yml"])
     assert swept == ["~arm", "arm={name:'mine',lengths:[0.1]},{name:'yours',lengths:[0.2]}"]
+
+
+@pytest.mark.parametrize("name", ["${oc.env:HOME}", "../../elsewhere", "a\x1b[2J", "a\u202eb", "a\nb"])
+def test_a_name_that_a_folder_cannot_have_is_refused(name: str, tmp_path: Path) -> None:
+    """Runs are called by it: it leads nowhere else, and nothing in it is resolved."""
+    (tmp_path / "mine.yaml").write_text(yaml.safe_dump({"name": name, "lengths": [0.1]}))
+    with pytest.raises(ConfigError, match=r"mine\.yaml: name must be printable, without / and \$\{"):
+        arm_override([f"arm={tmp_path}/mine.yaml"])
 
 
 def test_names_are_left_to_hydra() -> None:

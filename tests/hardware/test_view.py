@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import time
+from dataclasses import replace
 
 from apcc_torch.hardware.states import State
 from apcc_torch.hardware.view import OTHER_SCREEN, OWN_SCREEN, LiveView, bar, picture
@@ -41,8 +42,11 @@ def test_the_view_draws_and_gives_the_terminal_back() -> None:
     with LiveView(terminal) as view:
         fake_run(observers=(view,))
         end = time.monotonic() + 5.0
-        while "time" not in terminal.getvalue() and time.monotonic() < end:
+        assert view.event is not None
+        view.event = replace(view.event, message="body \x1b]0;owned\x07 is lost")
+        while not all(word in terminal.getvalue() for word in ("owned", "time")) and time.monotonic() < end:
             time.sleep(0.02)
     drawn = terminal.getvalue()
+    assert "\\x1b]0;owned\\x07" in drawn and "owned\x07" not in drawn
     assert drawn.startswith(OTHER_SCREEN) and drawn.endswith(OWN_SCREEN)
     assert view.tick is not None and view.tick.state is State.HOLD and "tension" in drawn

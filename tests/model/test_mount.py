@@ -134,7 +134,7 @@ def test_what_has_no_limit_is_free() -> None:
     text = (
         '<robot name="r"><link name="a"/><link name="b"/><link name="c"/>'
         '<joint name="j" type="continuous"><parent link="a"/><child link="b"/><limit velocity="2" effort="1"/></joint>'
-        '<joint name="k" type="revolute"><parent link="b"/><child link="c"/></joint></robot>'
+        '<joint name="k" type="continuous"><parent link="b"/><child link="c"/></joint></robot>'
     )
     mount = RigidMount(text, "c")
     assert mount.lower.tolist() == [-torch.inf, -torch.inf] and mount.upper.tolist() == [torch.inf, torch.inf]

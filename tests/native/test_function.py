@@ -169,7 +169,7 @@ def test_without_a_compiler_a_step_runs_eagerly(
 ) -> None:
     monkeypatch.setenv("CXX", "no-such-compiler")
     with caplog.at_level(logging.WARNING):
-        step = compiled(Swing(), example(), "aot", rows=4, carries=True)
+        step = compiled(Swing(), example(), "auto", rows=4, carries=True)
     (record,) = caplog.records
     assert record.getMessage() == (
         "Swing is not compiled and runs eagerly: no C++ compiler: no-such-compiler is on the path; "
@@ -179,7 +179,7 @@ def test_without_a_compiler_a_step_runs_eagerly(
     same(step(state, push, repeats=1), Swing()(state, push))
 
 
-@pytest.mark.parametrize("mode", ["off", "aot"])
+@pytest.mark.parametrize("mode", ["off", "aot", "auto"])
 def test_modes_agree(mode: str) -> None:
     state, push = arguments((4,))
     step = compiled(Swing(), example(), mode, rows=4, carries=True)
@@ -190,7 +190,7 @@ def test_modes_agree(mode: str) -> None:
 
 
 def test_unknown_mode() -> None:
-    with pytest.raises(ValueRangeError, match="compile must be one of off, inductor, aot, got 'jit'"):
+    with pytest.raises(ValueRangeError, match="compile must be one of off, inductor, aot, auto, got 'jit'"):
         compiled(Swing(), example(), "jit")
 
 

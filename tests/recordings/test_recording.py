@@ -46,6 +46,13 @@ def test_what_is_saved_is_loaded_exactly(tmp_path: Path) -> None:
     assert [p.name for p in tmp_path.iterdir()] == ["recording.csv"]
 
 
+def test_names_of_bodies_are_no_formulas(tmp_path: Path) -> None:
+    recording = dataclasses.replace(make_recording(), names=("=cmd|'/C calc'!A0", "the tip"))
+    save_recording(recording, tmp_path / "recording.csv")
+    assert (tmp_path / "recording.csv").read_text().startswith("time,'=cmd|'/C calc'!A0_x,")
+    assert load_recording(tmp_path).names == ("'=cmd|'/C calc'!A0", "the tip")
+
+
 def test_only_time_and_one_body_are_needed(tmp_path: Path) -> None:
     bare = dataclasses.replace(make_recording(), inputs=None, actuators=None, target=None)
     path = tmp_path / "own.csv"

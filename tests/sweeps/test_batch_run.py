@@ -50,6 +50,12 @@ def table(folder: Path) -> list[dict[str, str]]:
         return list(csv.DictReader(file))
 
 
+def test_no_cell_of_points_csv_is_a_formula() -> None:
+    point = Point(0, {"experiment.name": "=1+1", "controller.K": "-0.5"}, base())
+    text = batch.table([point], batch_chunk.ChunkResult({0: {"=metric": -1e-3}}, {}))
+    assert text == "point,experiment.name,controller.K,'=metric\n0,'=1+1,-0.5,-0.001\n"
+
+
 def base(*changes: str) -> SimulateSettings:
     return changed("kinematic", *KINEMATIC, "batch_workers=1", *changes)
 

@@ -1,0 +1,122 @@
+"""Shared libraries that are kept: in a folder of the user's own, whole, and checked before they are loaded."""
+
+from __future__ import annotations
+
+import ctypes
+import hashlib
+import logging
+import os
+import stat
+from pathlib import Path
+from typing import Any
+
+from apcc_torch.errors import CompileError
+from apcc_torch.files import write_atomically
+
+log = logging.getLogger(__name__)
+
+OTHERS = stat.S_IWGRP | stat.S_IWOTH
+
+
+def cache_folder() -> Path:
+    """Where libraries are kept: APCC_CACHE, else apcc_torch in the user's cache folder.
+
+    Raises:
+        CompileError: The user has no home folder.
+    """
+    named, caches = os.environ.get("APCC_CACHE"), os.environ.get("XDG_CACHE_HOME")
+    if named:
+        return Path(named).absolute()
+    try:
+        return Path(caches or Path.home() / ".cache").absolute() / "apcc_torch"
+    except RuntimeError as error:
+        raise CompileError("there is no home folder to keep machine code in; name a folder in APCC_CACHE") from error
+
+
+def private_folder() -> Path:
+    """The cache folder, made for this user alone if it is not there.
+
+    Raises:
+        CompileError: It cannot be made, or another user owns it or may write to it.
+    """
+    folder = cache_folder()
+    try:
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        folder.mkdir(mode=0o700, exist_ok=True)
+    except OSError as error:
+        raise _unkept(error) from error
+    check_private(folder)
+    return folder
+
+
+def check_private(path: Path) -> None:
+    """Raises CompileError where another user owns what is loaded as code, or may write to it."""
+    told = path.stat()
+    if told.st_uid != os.getuid():
+        whose = "belongs to another user"
+    elif told.st_mode & OTHERS:
+        whose = "may be written by other users"
+    else:
+        return
+    raise CompileError(f"{path} {whose}, and code from it is not run; name a folder of your own in APCC_CACHE")
+
+
+def kept(name: str) -> Path | None:
+    """The library of this name, if it was built before and is whole; the log says where it is damaged.
+
+    Raises:
+        CompileError: It cannot be read, or is not this user's alone.
+    """
+    library = private_folder() / name  # made here: what cannot be kept is known before it is built
+    try:
+        if not library.exists():
+            return None
+        check_private(library)
+        if _checksum(library).read_text(encoding="ascii") == hashlib.sha256(library.read_bytes()).hexdigest():
+            return library
+    except (FileNotFoundError, UnicodeDecodeError):
+        pass  # the checksum is damaged too, or gone
+    except OSError as error:
+        raise _unkept(error) from error
+    log.warning("the kept machine code %s is damaged and is built again", library)
+    return None
+
+
+def keep(made: Path, name: str) -> Path:
+    """Keeps a library that was built, whole or not at all, with its checksum beside it.
+
+    Raises:
+        CompileError: It cannot be written.
+    """
+    library = private_folder() / name
+    try:
+        content = made.read_bytes()
+        for path, what in ((library, content), (_checksum(library), hashlib.sha256(content).hexdigest())):
+            write_atomically(path, what).chmod(0o600)
+    except OSError as error:
+        raise _unkept(error) from error
+    return library
+
+
+def loaded(library: Path) -> Any:
+    """The entry point of a library.
+
+    Raises:
+        CompileError: The system does not load it.
+    """
+    try:
+        entry = ctypes.CDLL(str(library)).run
+    except (OSError, AttributeError) as error:
+        raise CompileError(f"machine code cannot be loaded: {error}") from error
+    entry.restype = None
+    entry.argtypes = [ctypes.c_long, ctypes.c_long, ctypes.c_int, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p]
+    return entry
+
+
+def _checksum(library: Path) -> Path:
+    return library.with_suffix(".sha256")
+
+
+def _unkept(error: OSError) -> CompileError:
+    why = "it is no folder" if isinstance(error, FileExistsError | NotADirectoryError) else error.strerror or error
+    return CompileError(f"machine code cannot be kept in {cache_folder()}: {why}; name another folder in APCC_CACHE")
