@@ -6,9 +6,9 @@ of the paper, the controller.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -22,7 +22,7 @@ from apcc_torch.hardware.log_reader import RobotLog, read_log
 from apcc_torch.model.kinematic_model import KinematicModel
 from apcc_torch.report.dynamic import RunCurves, mapping_error_figure, psi_figure, sensor_figure
 from apcc_torch.report.overlay import Overlay, error_figure, overlay_figure
-from apcc_torch.report.style import save_figures
+from apcc_torch.report.style import Draw, save_figures
 
 FIGURES = {
     "1": {"overlay": 27, "error": 28, "psi": 29, "mapping": 30},
@@ -136,18 +136,18 @@ def study(folder: Path, runs: Sequence[str], figures: bool) -> dict[str, float]:
     return {f"{name}_{key}": value for name, row in table.items() for key, value in row.items()}
 
 
-def _drawn(run: str, members: dict[str, Run]) -> dict[str, Any]:
-    """The run's figures by file name."""
+def _drawn(run: str, members: dict[str, Run]) -> dict[str, Draw]:
+    """What draws the run's figures, by file name."""
     all_curves = {name: member.curves for name, member in members.items()}
     arrival = next(iter(members.values())).arrival
-    drawings: dict[str, Callable[[], Any]] = {
+    drawings: dict[str, Draw] = {
         "error": lambda: error_figure(all_curves, arrival),
         "psi": lambda: psi_figure(all_curves),
         "mapping": lambda: mapping_error_figure(all_curves),
         "sensors": lambda: sensor_figure(all_curves),
         "overlay": lambda: overlay_figure({name: member.overlay for name, member in members.items()}),
     }
-    return {f"fig_{number}.png": drawings[kind]() for kind, number in FIGURES[run].items()}
+    return {f"fig_{number}.png": drawings[kind] for kind, number in FIGURES[run].items()}
 
 
 def text(table: dict[str, dict[str, float]]) -> str:

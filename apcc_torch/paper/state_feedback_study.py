@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -17,7 +18,7 @@ from apcc_torch.experiments.realtime_run import LOG, settings_of
 from apcc_torch.files import write_atomically, write_json
 from apcc_torch.hardware.log_reader import read_log
 from apcc_torch.report.state_feedback import Estimate, Estimates, final_figure, four_panel_figure, norm_figure
-from apcc_torch.report.style import save_figures
+from apcc_torch.report.style import Draw, save_figures
 
 MODES = ("pose", "position")
 STROBOSCOPIC = {"run_4": "fig_23.png", "run_8": "fig_24.png"}
@@ -110,11 +111,12 @@ def study(folder: Path, runs: Sequence[str], figures: bool) -> dict[str, float]:
     write_json(folder / "table.json", table)
     write_atomically(folder / "table.txt", text(outcome))
     if figures:
-        drawn = {
-            STROBOSCOPIC[name]: four_panel_figure(outcome[name], MOMENTS, name) for name in runs if name in STROBOSCOPIC
+        shown = [name for name in runs if name in STROBOSCOPIC]
+        drawn: dict[str, Draw] = {
+            STROBOSCOPIC[name]: partial(four_panel_figure, outcome[name], MOMENTS, name) for name in shown
         }
-        drawn["fig_25.png"] = final_figure({name: last[name] for name in runs if name in STROBOSCOPIC} or last)
-        drawn["fig_26.png"] = norm_figure(list(outcome.values()))
+        drawn["fig_25.png"] = lambda: final_figure({name: last[name] for name in shown} or last)
+        drawn["fig_26.png"] = lambda: norm_figure(list(outcome.values()))
         save_figures(drawn, folder / "figures")
     keys = next(iter(outcome.values())).keys()
     metrics: dict[str, float] = {}

@@ -27,7 +27,8 @@ def test_the_suffix_names_the_format(tmp_path: Path, suffix: str) -> None:
 
 
 def test_save_figures_names_every_file(tmp_path: Path) -> None:
-    paths = style.save_figures({"a.png": style.new_figure(1, 1), "b.png": style.new_figure(1, 1)}, tmp_path, dpi=20)
+    drawings = dict.fromkeys(("a.png", "b.png"), lambda: style.new_figure(1, 1))
+    paths = style.save_figures(drawings, tmp_path, dpi=20)
     assert [p.name for p in paths] == ["a.png", "b.png"] and all(p.is_file() for p in paths)
 
 
