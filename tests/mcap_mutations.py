@@ -12,7 +12,7 @@ from mcap.records import Attachment, Channel, Message, Metadata, Schema
 from mcap.stream_reader import StreamReader
 from mcap.writer import Writer
 
-from odd_values import odd_mapping, odd_text, odd_value
+from odd_values import damaged_bytes, odd_mapping, odd_text, odd_value
 
 Records = list[Any]
 
@@ -44,38 +44,20 @@ def written(parts: Records, chunk_size: int = 2**20) -> bytes:
     return stream.getvalue()
 
 
-def damaged_bytes(content: bytes, random: Random) -> bytes:
-    """The file with a few bytes other than they were."""
-    data = bytearray(content)
-    at, length = random.randrange(len(data)), random.choice((1, 2, 8, 100, 4000))
-    match random.randrange(6):
-        case 0:
-            for _ in range(random.choice((1, 3, 20))):
-                data[random.randrange(len(data))] ^= 1 << random.randrange(8)
-        case 1:
-            del data[at:]
-        case 2:
-            del data[at : at + length]
-        case 3:
-            data[at:at] = random.randbytes(length)
-        case 4:
-            data[at : at + length] = bytes(length)
-        case _:
-            data[at:at] = data[at : at + length]
-    return bytes(data)
+EVENT = {"time": 1.0, "kind": "state", "state": "hold", "message": "arrived", "reason": "arrived"}
 
 
 def _event(parts: Records, random: Random) -> None:
     channel = next(part for part in parts if isinstance(part, Channel) and part.topic == "/events")
     part = random.choice([p for p in parts if isinstance(p, Message) and p.channel_id == channel.id])
-    part.data = odd_mapping(json.loads(part.data), random)
+    part.data = odd_mapping(EVENT, random)
 
 
 def _attachment(parts: Records, random: Random) -> None:
     part = random.choice([part for part in parts if isinstance(part, Attachment)])
     match random.randrange(5):
         case 0:
-            part.name = odd_text(random)
+            part.name = odd_text(random).encode("utf-8", "replace").decode()
         case 1:
             part.data = random.choice((b"\xff\xfe", b"", odd_text(random).encode("utf-8", "surrogatepass")))
         case _:
@@ -104,7 +86,7 @@ def _message(parts: Records, random: Random) -> None:
             case 0:
                 parts.remove(part)
             case 1:
-                part.data = part.data[: random.randrange(len(part.data))]
+                part.data = part.data[: random.randrange(len(part.data) + 1)]
             case 2:
                 part.data += bytes(8)
             case 3:
@@ -113,7 +95,7 @@ def _message(parts: Records, random: Random) -> None:
                     part.data[:k] + random.choice((b"\xff" * 8, random.randbytes(8), bytes(8))) + part.data[k + 8 :]
                 )
             case _:
-                part.data = part.data[:4] + random.randbytes(len(part.data) - 4)
+                part.data = part.data[:4] + random.randbytes(len(part.data[4:]))
 
 
 def _names(parts: Records, random: Random) -> None:

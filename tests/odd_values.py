@@ -49,5 +49,26 @@ def odd_mapping(values: Mapping[str, Any], random: Random) -> bytes:
     return _json(changed)
 
 
+def damaged_bytes(content: bytes, random: Random) -> bytes:
+    """The file with a few bytes other than they were."""
+    data = bytearray(content)
+    at, length = random.randrange(len(data)), random.choice((1, 2, 8, 100, 4000))
+    match random.randrange(6):
+        case 0:
+            for _ in range(random.choice((1, 3, 20))):
+                data[random.randrange(len(data))] ^= 1 << random.randrange(8)
+        case 1:
+            del data[at:]
+        case 2:
+            del data[at : at + length]
+        case 3:
+            data[at:at] = random.randbytes(length)
+        case 4:
+            data[at : at + length] = bytes(length)
+        case _:
+            data[at:at] = data[at : at + length]
+    return bytes(data)
+
+
 def _json(value: Any) -> bytes:
     return json.dumps(value).encode()

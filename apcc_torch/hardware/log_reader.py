@@ -183,6 +183,7 @@ class _ToTheEnd:
 def _records(file: IO[bytes]) -> _Found:
     """The records, up to where the file ends or is damaged; a damaged chunk is left out alone."""
     try:
+        from mcap.records import Chunk
         from mcap.stream_reader import StreamReader, breakup_chunk
     except ImportError as error:
         raise ConfigError("reading a log needs mcap: pip install 'apcc-torch[log]'") from error
@@ -192,9 +193,8 @@ def _records(file: IO[bytes]) -> _Found:
     reader = StreamReader(stream, emit_chunks=True, validate_crcs=True, record_size_limit=LARGEST)  # type: ignore[arg-type]
     try:
         for record in reader.records:
-            name = type(record).__name__
-            if name != "Chunk":
-                kinds[name].append(record)
+            if not isinstance(record, Chunk):
+                kinds[type(record).__name__].append(record)
                 continue
             try:
                 _check_size(record)

@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from apcc_torch.composition.build import Builder
-from apcc_torch.errors import ConfigError
+from apcc_torch.errors import ConfigError, DataError
 from apcc_torch.estimation.sensor_curve import SensorCurve
 from apcc_torch.experiments.realtime_run import LOG, settings_of
 from apcc_torch.files import write_atomically, write_json
@@ -62,6 +62,9 @@ def curves(record: RobotLog) -> Run:
     build = Builder(config)
     steps, frames = record.topic("/controller"), record.topic("/measurement")
     poses = {int(row["tick"]): row["poses"] for row in frames}
+    lacking = [int(tick) for tick in steps["tick"] if int(tick) not in poses]
+    if lacking:
+        raise DataError(f"the log lacks the measurement of turn {lacking[0]}, which a control step was given")
     T = torch.stack([torch.tensor(poses[int(tick)]).unflatten(-1, (-1, 4, 4)) for tick in steps["tick"]])
     time, e, q_bar, q_d, pi_hat, angular, linear = (
         torch.tensor(steps[name]) for name in ("time", "e", "q_bar", "q_d", "pi_hat", "angular_error", "linear_error")

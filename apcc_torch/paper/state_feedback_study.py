@@ -41,11 +41,13 @@ def motion(folder: Path) -> tuple[RealtimeSettings, Motion]:
     """A run's settings and what its sensors saw.
 
     Raises:
-        DataError: The log cannot be read.
+        DataError: The log cannot be read, or has no usable measurement.
     """
     record = read_log(folder / LOG)
     rows = record.topic("/measurement")
     rows = rows[rows["usable"] == 1]
+    if not len(rows):
+        raise DataError(f"{folder / LOG} has no measurement that an estimate could be made from")
     poses = torch.tensor(rows["poses"]).unflatten(-1, (-1, 4, 4))
     masks = (torch.tensor(rows[name]).bool() for name in ("position_ok", "orientation_ok"))
     return settings_of(record), Motion(torch.tensor(rows["time"]), poses, *masks)
