@@ -55,8 +55,8 @@ def write_parquet(log: RobotLog, folder: Path | str) -> list[Path]:
     written = []
     for name, content in tables.items():
         path = Path(folder) / f"{name}.parquet"
-        with _writing(path) as draft:
-            parquet.write_table(content, draft)
+        with _writing(path) as draft, draft.open("wb") as file:
+            parquet.write_table(content, file)
         written.append(path)
     return written
 

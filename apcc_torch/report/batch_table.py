@@ -16,7 +16,7 @@ from apcc_torch.report.run_record import COMPLETE, FAILED, Run
 from apcc_torch.report.settings import scalar
 
 POINTS = "points.csv"
-MOST_POINTS = 2**30
+MOST_POINTS = 2**28
 """Largest table of points that is read, bytes."""
 
 

@@ -167,8 +167,9 @@ def has_parquet() -> bool:
 def write_parquet(table: RunTable, path: Path) -> Path:
     """Writes the table as Parquet: numbers as int64 or float64, texts as strings. `has_parquet` says whether it can."""
     data = pyarrow.table({for_spreadsheet(column.name): _arrow(column) for column in table.columns})
-    with draft_of(path) as draft:
-        parquet.write_table(data, draft)
+    # An open file: of a path pyarrow makes an address, which not every name is.
+    with draft_of(path) as draft, draft.open("wb") as file:
+        parquet.write_table(data, file)
     return path
 
 

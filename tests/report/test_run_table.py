@@ -82,11 +82,12 @@ def test_files_read_back_as_they_were(
 
 def test_parquet_has_one_type_a_column(tmp_path: Path) -> None:
     parquet = pytest.importorskip("pyarrow.parquet", reason="pyarrow is not installed")
-    schema = parquet.read_table(write_parquet(tidy(RUNS), tmp_path / "runs.parquet")).schema
+    folder = tmp_path / "a:b\udcff\n'"
+    schema = parquet.read_schema(write_parquet(tidy(RUNS), folder / "runs.parquet").open("rb"))
     assert {name: str(schema.field(name).type) for name in ("n", "k.gain", "k.mode", "e_mm", "wall_s")} == {
         **{"n": "int64", "k.gain": "double", "k.mode": "string", "e_mm": "double", "wall_s": "double"},
     }
-    assert [path.name for path in tmp_path.iterdir()] == ["runs.parquet"]
+    assert [path.name for path in folder.iterdir()] == ["runs.parquet"]
 
 
 def test_pyarrow_is_looked_for(monkeypatch: pytest.MonkeyPatch) -> None:
