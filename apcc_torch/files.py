@@ -148,6 +148,9 @@ def yaml_in(text: str, name: str) -> Any:
             if getattr(event, "tag", None) not in (None, "!"):
                 raise ValueError(f"it names a type, {event.tag}, and only plain values are read")
         return yaml.load(text, Loader)
+    except yaml.MarkedYAMLError as error:
+        where = "" if error.problem_mark is None else f" in line {error.problem_mark.line + 1}"
+        raise DataError(f"{name} cannot be read: {error.problem or error.context}{where}") from error
     except (yaml.YAMLError, ValueError, OverflowError) as error:
         raise DataError(f"{name} cannot be read: {in_a_line(error)}") from error
 
