@@ -22,7 +22,7 @@ from apcc_torch.hardware.log_reader import RobotLog, read_log
 from apcc_torch.model.kinematic_model import KinematicModel
 from apcc_torch.report.dynamic import RunCurves, mapping_error_figure, psi_figure, sensor_figure
 from apcc_torch.report.overlay import Overlay, error_figure, overlay_figure
-from apcc_torch.report.style import Draw, save_figures
+from apcc_torch.report.style import Draw
 
 FIGURES = {
     "1": {"overlay": 27, "error": 28, "psi": 29, "mapping": 30},
@@ -113,16 +113,15 @@ def split(name: str) -> tuple[str, str, str]:
     return parts[0], parts[1], parts[2]
 
 
-def study(folder: Path, runs: Sequence[str], figures: bool) -> dict[str, float]:
-    """The table of all runs (table.json, table.txt) and figures 27 to 39 of each layout.
+def study(folder: Path, runs: Sequence[str]) -> tuple[dict[str, float], dict[str, Draw]]:
+    """The table of all runs (table.json, table.txt), and what draws figures 27 to 39 of each layout.
 
     Args:
         folder: Of the series.
         runs: Their names, a folder each.
-        figures: Whether to draw.
 
     Returns:
-        Every number of every run, flat.
+        Every number of every run, flat; and file name -> what draws it.
     """
     records: dict[tuple[str, str], dict[str, Run]] = {}
     table: dict[str, dict[str, float]] = {}
@@ -133,10 +132,12 @@ def study(folder: Path, runs: Sequence[str], figures: bool) -> dict[str, float]:
         table[name] = numbers(record)
     write_json(folder / "table.json", table)
     write_atomically(folder / "table.txt", text(table))
-    if figures:
-        for (layout, run), members in records.items():
-            save_figures(_drawn(run, members), folder / "figures" / layout)
-    return {f"{name}_{key}": value for name, row in table.items() for key, value in row.items()}
+    drawings = {
+        f"{layout}/{file}": draw
+        for (layout, run), members in records.items()
+        for file, draw in _drawn(run, members).items()
+    }
+    return {f"{name}_{key}": value for name, row in table.items() for key, value in row.items()}, drawings
 
 
 def _drawn(run: str, members: dict[str, Run]) -> dict[str, Draw]:

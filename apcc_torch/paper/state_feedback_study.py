@@ -18,7 +18,7 @@ from apcc_torch.experiments.realtime_run import LOG, settings_of
 from apcc_torch.files import write_atomically, write_json
 from apcc_torch.hardware.log_reader import read_log
 from apcc_torch.report.state_feedback import Estimate, Estimates, final_figure, four_panel_figure, norm_figure
-from apcc_torch.report.style import Draw, save_figures
+from apcc_torch.report.style import Draw
 
 MODES = ("pose", "position")
 STROBOSCOPIC = {"run_4": "fig_23.png", "run_8": "fig_24.png"}
@@ -84,16 +84,15 @@ def estimate(config: RealtimeSettings, seen: Motion) -> Estimates:
     return outcome
 
 
-def study(folder: Path, runs: Sequence[str], figures: bool) -> dict[str, float]:
-    """The table of all runs (table.json, table.txt) and figures 23 to 26.
+def study(folder: Path, runs: Sequence[str]) -> tuple[dict[str, float], dict[str, Draw]]:
+    """The table of all runs (table.json, table.txt), and what draws figures 23 to 26.
 
     Args:
         folder: Of the series.
         runs: Their names, a folder each.
-        figures: Whether to draw.
 
     Returns:
-        Means over the runs, SI units in the names.
+        Means over the runs, SI units in the names; and file name -> what draws it.
     """
     outcome: dict[str, Estimates] = {}
     table: dict[str, object] = {}
@@ -112,20 +111,18 @@ def study(folder: Path, runs: Sequence[str], figures: bool) -> dict[str, float]:
         }
     write_json(folder / "table.json", table)
     write_atomically(folder / "table.txt", text(outcome))
-    if figures:
-        shown = [name for name in runs if name in STROBOSCOPIC]
-        drawn: dict[str, Draw] = {
-            STROBOSCOPIC[name]: partial(four_panel_figure, outcome[name], MOMENTS, name) for name in shown
-        }
-        drawn["fig_25.png"] = lambda: final_figure({name: last[name] for name in shown} or last)
-        drawn["fig_26.png"] = lambda: norm_figure(list(outcome.values()))
-        save_figures(drawn, folder / "figures")
+    shown = [name for name in runs if name in STROBOSCOPIC]
+    drawings: dict[str, Draw] = {
+        STROBOSCOPIC[name]: partial(four_panel_figure, outcome[name], MOMENTS, name) for name in shown
+    }
+    drawings["fig_25.png"] = lambda: final_figure({name: last[name] for name in shown} or last)
+    drawings["fig_26.png"] = lambda: norm_figure(list(outcome.values()))
     keys = next(iter(outcome.values())).keys()
     metrics: dict[str, float] = {}
     for case, mode in keys:
         for name, value in _mean([numbers(e[case, mode]) for e in outcome.values()]).items():
             metrics[f"{case.replace('-', '_')}_{mode}_{name}"] = value
-    return metrics
+    return metrics, drawings
 
 
 def numbers(e: Estimate) -> dict[str, float]:
