@@ -30,8 +30,8 @@ QUICK = (
 )  # fmt: skip
 COMMANDS = ("replay", "parquet", "attachments", "parquet", "attachments")
 """Tried in turn; a replay takes the longest."""
-MUTATIONS = 100
-"""Damaged logs that are tried; 10,000 take ten minutes."""
+MUTATIONS = 70
+"""Damaged logs that are tried; a longer search takes a larger number."""
 
 
 @pytest.fixture(scope="module")

@@ -21,7 +21,7 @@ WriteRun = Callable[..., Path]
 SETTINGS = {"gain": {"scale": 0.1}, "seed": 0}
 METRICS = {"m_mm": 1.5, "wall_s": 1.0}
 MUTATIONS = 100
-"""Damaged folders that are tried; 10,000 take five minutes."""
+"""Damaged folders that are tried; a longer search takes a larger number."""
 NAMES = (
     "b", "b b'\"", "b\nc", "b\udcff", "ü\U0001f916", "=1+1", "\x1b[2J", "-b", "$b %s", "<b>", ".failed", "x" * 200,
     "b.failed",
