@@ -25,6 +25,7 @@ from apcc_torch.conf_path import conf_path
 from apcc_torch.errors import ConfigError, one_sentence
 from apcc_torch.files import write_atomically
 from apcc_torch.paper import benchmark_run as paper
+from apcc_torch.plain_text import for_terminal
 from apcc_torch.reading import plain
 
 log = logging.getLogger("apcc_torch.benchmark")
@@ -90,7 +91,7 @@ def _hydra_main(cfg: DictConfig) -> None:
     folder = Path(HydraConfig.get().runtime.output_dir)
     with one_sentence(log.error):
         words = run(cfg, folder)
-    log.info("results in %s\n%s", folder, words)
+    log.info("results in %s\n%s", for_terminal(str(folder)), words)
 
 
 def main() -> None:

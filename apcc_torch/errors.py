@@ -65,6 +65,13 @@ class GradientError(ApccError, RuntimeError):
     """A derivative was asked for that is not provided."""
 
 
+def in_a_line(error: BaseException) -> str:
+    """What another library says of an error, as one line of bearable length; its kind where it says nothing."""
+    said = getattr(error, "strerror", None) or str(error)
+    lines = [line.strip() for line in said.splitlines() if line.strip()]
+    return lines[0][:300] if lines else type(error).__name__
+
+
 @contextmanager
 def one_sentence(tell: Callable[[str], object]) -> Iterator[None]:
     """Ends a program with exit code 2 where it refuses what its user can mend: one sentence, no stack.

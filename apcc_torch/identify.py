@@ -19,6 +19,7 @@ from apcc_torch.composition.schema import check_words, schema, typed
 from apcc_torch.conf_path import conf_path
 from apcc_torch.errors import ConfigError, one_sentence
 from apcc_torch.experiments import identification
+from apcc_torch.plain_text import for_terminal
 
 log = logging.getLogger("apcc_torch.identify")
 
@@ -33,7 +34,7 @@ def _hydra_main(cfg: DictConfig) -> float:
     with one_sentence(log.error):
         settings = typed(cfg, IdentifySettings)
         metrics, text = identification.run(settings, folder, log.info if settings.progress else log.debug)
-    log.info("results in %s\n%s", folder, text)
+    log.info("results in %s\n%s", for_terminal(str(folder)), text)
     return metrics["arm_identified_tip_rmse_mm"]
 
 

@@ -20,6 +20,7 @@ from apcc_torch.errors import one_sentence
 from apcc_torch.experiments.folder import metrics_text
 from apcc_torch.hardware.stops import exit_code_table
 from apcc_torch.paper import arm_series as arm_run
+from apcc_torch.plain_text import for_terminal
 
 log = logging.getLogger("apcc_torch.robot")
 
@@ -37,7 +38,7 @@ def _hydra_main(cfg: DictConfig) -> None:
     level = logging.ERROR if outcome.reason.failed else logging.INFO
     log.log(level, "%s: %s; the arm is %s", outcome.reason.value, outcome.message, outcome.state.value)
     if metrics:
-        log.info("results in %s\n%s", folder, metrics_text(metrics))
+        log.info("results in %s\n%s", for_terminal(str(folder)), metrics_text(metrics))
     sys.exit(outcome.exit_code)
 
 

@@ -7,15 +7,20 @@ import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+import numpy as np
+
 from apcc_torch.classes import ALLOWED
 from apcc_torch.errors import ApccError
 from apcc_torch.experiments.realtime_run import replay_log
 from apcc_torch.hardware.log_export import write_parquet, write_rerun
 from apcc_torch.hardware.log_reader import RobotLog, read_log
+from apcc_torch.plain_text import for_terminal
 
 TOLERANCE = 1e-9
 """Largest difference of a replayed command from the logged one that counts as the same, m."""
 
+NAMED = 3
+"""Most things that are wrong with a log, of those that are named."""
 
 Answer = tuple[str, int]
 """What to print, and the exit code."""
@@ -23,10 +28,12 @@ Answer = tuple[str, int]
 
 def info(record: RobotLog, arguments: argparse.Namespace) -> Answer:
     """What the log holds."""
-    whole = "complete" if record.complete else "cut off, by a kill or a full disk; this is what is left"
+    cut = "cut off, by a kill or a full disk; this is what is left"
+    whole = "damaged; this is what can be read" if record.damage else "complete" if record.complete else cut
     lines = [f"{arguments.log}: {whole}"]
     for name, rows in sorted(record.topics.items()):
-        span = f"{rows['time'][0]:.3f} to {rows['time'][-1]:.3f} s" if "time" in (rows.dtype.names or ()) else ""
+        timed = rows["time"] if "time" in (rows.dtype.names or ()) else rows[:0]
+        span = f"{timed[0]:.3f} to {timed[-1]:.3f} s" if timed.dtype == np.float64 and timed.ndim == 1 else ""
         lines.append(f"  {name:<14} {len(rows):>7} messages  {span}")
     lines += [f"  attached: {name}" for name in record.attachments]
     for event in record.events:
@@ -76,7 +83,8 @@ def parser() -> argparse.ArgumentParser:
     """The command line."""
     top = argparse.ArgumentParser(
         prog="python -m apcc_torch.robot_log",
-        description="Reads log.mcap of a run of apcc_torch.robot. A log that was cut off is read as far as it goes.",
+        description="Reads log.mcap of a run of apcc_torch.robot. A log that was cut off is read as far as it goes. "
+        "Of a damaged one all that can be read is; what cannot is named, with exit code 2.",
     )
     commands = top.add_subparsers(dest="command", required=True)
     for name, (_, about) in COMMANDS.items():
@@ -98,13 +106,23 @@ def parser() -> argparse.ArgumentParser:
 def main(argv: Sequence[str] | None = None) -> int:
     """Console entry point; returns the exit code."""
     arguments = parser().parse_args(argv)
+    damage: list[str] = []
     try:
-        text, code = COMMANDS[arguments.command][0](read_log(arguments.log), arguments)
+        record = read_log(arguments.log)
+        damage = record.damage
+        text, code = COMMANDS[arguments.command][0](record, arguments)
     except ApccError as error:
-        sys.stderr.write(f"{error}\n")
-        return 2
-    sys.stdout.write(f"{text}\n")
-    return code
+        return refused(arguments.log, [str(error), *damage])
+    sys.stdout.write(for_terminal(f"{text}\n"))
+    return refused(arguments.log, damage) if damage else code
+
+
+def refused(path: Path, reasons: Sequence[str]) -> int:
+    """Says in one sentence what is wrong with a log; returns the exit code."""
+    more = f"; and {len(reasons) - NAMED} things more" if len(reasons) > NAMED else ""
+    sentence = "; ".join(reasons[:NAMED]).removeprefix(f"{path} ").removeprefix(f"{path}: ")
+    sys.stderr.write(for_terminal(f"{path}: {' '.join(sentence.split())}{more}\n"))
+    return 2
 
 
 if __name__ == "__main__":

@@ -21,6 +21,7 @@ from apcc_torch.conf_path import conf_path
 from apcc_torch.errors import one_sentence
 from apcc_torch.experiments.folder import metrics_text
 from apcc_torch.experiments.run import objective_in, run, settings_of
+from apcc_torch.plain_text import for_terminal
 from apcc_torch.sweeps import batch_run as batch
 from apcc_torch.sweeps.batch_points import batch_points, with_batch
 from apcc_torch.sweeps.callback import Sweep
@@ -47,7 +48,7 @@ def _hydra_main(cfg: DictConfig) -> float | None:
         config = settings_of(cfg, folder)
         metrics = run(config, folder) if points is None else batch.run(config, points(), folder)
         value = objective_in(folder, config.objective)
-    log.info("results in %s\n%s", folder, metrics_text(metrics))
+    log.info("results in %s\n%s", for_terminal(str(folder)), metrics_text(metrics))
     return value
 
 

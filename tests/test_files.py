@@ -4,13 +4,28 @@ from __future__ import annotations
 
 import json
 import os
+from collections.abc import Callable
 from pathlib import Path
+from random import Random
+from typing import Any
 
 import numpy as np
 import pytest
 import torch
 
-from apcc_torch.files import draft_of, write_arrays, write_atomically, write_json
+from apcc_torch import files
+from apcc_torch.errors import DataError
+from apcc_torch.files import (
+    draft_of,
+    json_in,
+    read_arrays,
+    read_text,
+    write_arrays,
+    write_atomically,
+    write_json,
+    yaml_in,
+)
+from odd_values import damaged_bytes, odd_mapping, odd_text
 
 
 def names(folder: Path) -> list[str]:
@@ -83,3 +98,59 @@ def test_arrays_come_back_bit_for_bit(tmp_path: Path) -> None:
         for name, tensor in tensors.items():
             want = tensor.detach().numpy()
             assert back[name].dtype == want.dtype and np.array_equal(back[name], want)
+
+
+def test_arrays_of_a_damaged_archive_are_refused(tmp_path: Path) -> None:
+    tensors = {"x": torch.arange(40.0), "flags": torch.ones(5, dtype=torch.bool)}
+    path = write_arrays(tmp_path / "a.npz", tensors)
+    assert all(torch.equal(read, tensors[name]) for name, read in read_arrays(path).items())
+    whole, refused = path.read_bytes(), []
+    for seed in range(300):
+        path.write_bytes(damaged_bytes(whole, Random(seed)))
+        try:
+            assert all(isinstance(read, torch.Tensor) for read in read_arrays(path).values())
+        except DataError as error:
+            refused.append(str(error))
+    assert len(refused) > 100 and all(said.startswith("a.npz ") and "\n" not in said for said in refused)
+
+
+def test_arrays_that_are_no_tensors_or_too_large_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "a.npz"
+    for array in (np.array([{}], dtype=object), np.array(["a"]), np.array(["2026-01-01"], dtype="datetime64[s]")):
+        np.savez(path, a=array)
+        with pytest.raises(DataError, match=r"^a\.npz cannot be read: "):
+            read_arrays(path)
+    np.save(tmp_path / "b.npz", np.zeros(3))
+    os.mkfifo(tmp_path / "c.npz")
+    for name in ("b.npz.npy", "c.npz", "none.npz"):
+        with pytest.raises(DataError, match=f"^{name} cannot be read: "):
+            read_arrays(tmp_path / name)
+    monkeypatch.setattr(files, "MOST_ARRAYS", 2**20)
+    write_arrays(path, {"a": torch.zeros(2**18)})
+    with pytest.raises(DataError, match="its arrays have over"):
+        read_arrays(path)
+
+
+def test_a_text_is_read_within_bounds(tmp_path: Path) -> None:
+    path = tmp_path / "a.txt"
+    path.write_text("µ\n", encoding="utf-8")
+    assert read_text(path, 3) == "µ\n"
+    with pytest.raises(DataError, match=r"^a\.txt cannot be read: it has over"):
+        read_text(path, 2)
+    with pytest.raises(DataError, match="it is no file"):
+        read_text(tmp_path)
+
+
+@pytest.mark.parametrize("reader", [json_in, yaml_in])
+def test_whatever_a_text_says_it_is_plain_values_or_refused(reader: Callable[[str, str], Any]) -> None:
+    good = {"a": 1.5, "b": [1, {"c": None}], "d": "x"}
+    assert reader(json.dumps(good), "it") == good
+    refused = []
+    for seed in range(1000):
+        random = Random(seed)
+        text = odd_mapping(good, random).decode("utf-8", "replace") if seed % 2 else f"a: {odd_text(random)}\n"
+        try:
+            assert len(repr(reader(text, "it"))) < 20_000
+        except DataError as error:
+            refused.append(str(error))
+    assert len(refused) > 100 and all(said.startswith("it cannot be read: ") and "\n" not in said for said in refused)

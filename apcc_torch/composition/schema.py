@@ -7,13 +7,13 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
-import yaml
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from apcc_torch.classes import Trust
 from apcc_torch.conf_path import conf_path
-from apcc_torch.errors import ConfigError
+from apcc_torch.errors import ConfigError, DataError
+from apcc_torch.files import yaml_in
 from apcc_torch.reading import check_key, defaults, nested_in, plain, read
 from apcc_torch.settings import Settings, about_of, default_of, keys
 
@@ -121,7 +121,7 @@ def from_text(content: str, root: type[Root]) -> Root:
         ConfigError, ValueRangeError: They have no meaning, or name a class that is neither of this package nor allowed.
     """
     try:
-        values = yaml.safe_load(content)
-    except yaml.YAMLError as error:
-        raise ConfigError(f"the settings are not a YAML file: {error}") from error
+        values = yaml_in(content, "the file of settings")
+    except DataError as error:
+        raise ConfigError(str(error)) from error
     return read(values, root, trust=Trust.OWN)

@@ -11,7 +11,7 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from apcc_torch.errors import DataError
+from apcc_torch.errors import DataError, in_a_line
 from apcc_torch.files import write_atomically
 from apcc_torch.shapes import check_finite, check_tensor
 
@@ -126,8 +126,8 @@ class RestCalibration:
             content = json.loads(Path(path).read_text(encoding="utf-8"))
         except OSError as error:
             raise DataError(f"{path}: cannot be read ({error.strerror})") from error
-        except ValueError as error:
-            raise DataError(f"{path}: is not a JSON file ({error})") from error
+        except (ValueError, RecursionError) as error:
+            raise DataError(f"{path}: is not a JSON file ({in_a_line(error)})") from error
         return RestCalibration.of(content, path)
 
     @staticmethod
@@ -167,5 +167,5 @@ class RestCalibration:
             )
         except KeyError as error:
             raise DataError(f"{path}: lacks the entry {error}") from error
-        except (TypeError, ValueError, RuntimeError) as error:
+        except (TypeError, ValueError, RuntimeError, OverflowError) as error:
             raise DataError(f"{path}: holds an entry of the wrong form ({error})") from error

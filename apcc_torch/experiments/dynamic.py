@@ -24,7 +24,7 @@ from apcc_torch.report import dynamic as figures
 from apcc_torch.report.animation import save_animation
 from apcc_torch.report.backbone_drawing import Snapshots, marker_positions, spread_indices, stroboscopic_figure
 from apcc_torch.report.dynamics_parameters import dynamics_parameter_figure
-from apcc_torch.report.style import save_figures
+from apcc_torch.report.style import Draw, attempt, save_figures
 from apcc_torch.simulation.dynamic import DynamicLog, DynamicSettings, simulate_dynamic
 from apcc_torch.simulation.metrics import backbone_error, mapping_error, orientation_error
 from apcc_torch.simulation.progress import Progress
@@ -245,20 +245,21 @@ def draw(outcome: Outcome, folder: Path, name: str = "run") -> None:
     thin = thinned(outcome.log)
     c = curves(thin, outcome.arms)
     runs = {name: c}
-    pictures = {
-        "shape_error.png": figures.shape_error_figure(runs),
-        "psi.png": figures.psi_figure(runs),
-        "parameters.png": figures.parameter_figure(runs),
-        "sensors.png": figures.sensor_figure(runs),
-        "end_effector.png": figures.end_effector_figure(runs),
-        "mapping_error.png": figures.mapping_error_figure(runs),
-        "stroboscopic.png": stroboscopic_figure({name: snapshots(thin, outcome.arms, -1, 6)}),
+    pictures: dict[str, Draw] = {
+        "shape_error.png": lambda: figures.shape_error_figure(runs),
+        "psi.png": lambda: figures.psi_figure(runs),
+        "parameters.png": lambda: figures.parameter_figure(runs),
+        "sensors.png": lambda: figures.sensor_figure(runs),
+        "end_effector.png": lambda: figures.end_effector_figure(runs),
+        "mapping_error.png": lambda: figures.mapping_error_figure(runs),
+        "stroboscopic.png": lambda: stroboscopic_figure({name: snapshots(thin, outcome.arms, -1, 6)}),
     }
     if thin.theta_hat.shape[-1] > 0:
-        pictures["dynamics.png"] = dynamics_parameter_figure(thin.time, thin.theta_hat, outcome.arms.theta)
+        pictures["dynamics.png"] = lambda: dynamics_parameter_figure(thin.time, thin.theta_hat, outcome.arms.theta)
     save_figures(pictures, folder)
     film = {"shape error (mm)": 1e3 * c.shape_error[:, -1], "end-effector error (mm)": 1e3 * c.e[:, -1]}
-    save_animation(folder / "animation", snapshots(thin, outcome.arms, -1, None), film)
+    with attempt("the film"):
+        save_animation(folder / "animation", snapshots(thin, outcome.arms, -1, None), film)
 
 
 def redraw(config: SimulateSettings, arrays: dict[str, Tensor], into: Path, figured: bool, filmed: bool) -> None:
@@ -276,10 +277,10 @@ def run(config: SimulateSettings, folder: Path) -> dict[str, float]:
     name = _name(config)
     outcome = simulate(config, label=f"{config.experiment.name}, {name}")
     values = metrics(outcome)
-    if config.figures:
-        draw(outcome, folder / "figures", name)
     values["wall_s"] = time.perf_counter() - started
     RunFolder(folder).write(values, arrays(outcome), config.seed)
+    if config.figures:
+        draw(outcome, folder / "figures", name)
     return values
 
 

@@ -156,12 +156,12 @@ def run(settings: IdentifySettings, folder: Path, say: Say) -> tuple[dict[str, f
     write_json(folder / "parameters.json", {"parameters": [_plain(entry, spread) for entry in answer]})
     origin = f"{name}, from {settings.data} by python -m apcc_torch.identify; parameters.json has the intervals."
     identified_arm(settings.arm, values).save(folder / "arm.yaml", f"{origin}\n{account(blocks)}")
-    if settings.figures:
-        outcome = Outcome(series.positions, predictions, parts.validation, arm.rest(drive, values), answer)
-        save_figures(identification_figures(outcome, length, name), folder / "figures")
     held = torch.zeros(len(series), dtype=torch.bool).index_fill(0, parts.validation, True)
     arrays = {"time": series.times, "inputs": series.inputs, "measured": series.positions, "held_back": held}
     RunFolder(folder).write(metrics, arrays | predictions, 0)
+    if settings.figures:
+        outcome = Outcome(series.positions, predictions, parts.validation, arm.rest(drive, values), answer)
+        save_figures(identification_figures(outcome, length, name), folder / "figures")
     return metrics, text
 
 

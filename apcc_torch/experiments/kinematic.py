@@ -19,7 +19,7 @@ from apcc_torch.model.kinematic_model import KinematicModel
 from apcc_torch.report.animation import save_animation
 from apcc_torch.report.backbone_drawing import Snapshots
 from apcc_torch.report.kinematic import kinematic_figures, select_row, snapshots
-from apcc_torch.report.style import save_figures
+from apcc_torch.report.style import attempt, save_figures
 from apcc_torch.simulation.kinematic import KinematicLog, simulate_exact, simulate_feedback
 from apcc_torch.simulation.metrics import backbone_error
 from apcc_torch.simulation.progress import Progress
@@ -155,8 +155,9 @@ def redraw(config: SimulateSettings, arrays: dict[str, Tensor], into: Path, figu
     if figured:
         draw(outcome, into)
     if filmed:
-        shots, readouts = film(outcome)
-        save_animation(into / "animation", shots, readouts, max_frames=FILM_FRAMES)
+        with attempt("the film"):
+            shots, readouts = film(outcome)
+            save_animation(into / "animation", shots, readouts, max_frames=FILM_FRAMES)
 
 
 def film(outcome: Outcome) -> tuple[Snapshots, dict[str, Tensor]]:
@@ -182,10 +183,10 @@ def run(config: SimulateSettings, folder: Path) -> dict[str, float]:
     started = time.perf_counter()
     outcome = simulate(config)
     values = metrics(outcome)
-    if config.figures:
-        draw(outcome, folder / "figures")
     values["wall_s"] = time.perf_counter() - started
     RunFolder(folder).write(values, arrays(outcome), config.seed)
+    if config.figures:
+        draw(outcome, folder / "figures")
     return values
 
 

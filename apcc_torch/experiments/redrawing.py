@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
 import torch
 from torch import Tensor
 
 from apcc_torch.composition.run_settings import SimulateSettings
 from apcc_torch.composition.schema import from_text
-from apcc_torch.errors import ApccError, DataError
+from apcc_torch.errors import ApccError, DataError, in_a_line
 from apcc_torch.experiments.kinds import KINDS
+from apcc_torch.files import read_arrays, read_text
 
 
 def load_run(folder: Path) -> tuple[SimulateSettings, dict[str, Tensor]]:
@@ -21,14 +21,10 @@ def load_run(folder: Path) -> tuple[SimulateSettings, dict[str, Tensor]]:
         DataError: config.yaml or trajectory.npz cannot be read, or the settings are not those of this version.
     """
     try:
-        config = from_text((folder / "config.yaml").read_text(encoding="utf-8"), SimulateSettings)
-    except (OSError, UnicodeDecodeError, ApccError) as error:
-        raise DataError(f"config.yaml does not hold this version's settings: {str(error).splitlines()[0]}") from error
-    try:
-        with np.load(folder / "trajectory.npz") as archive:
-            return config, {name: torch.from_numpy(archive[name]) for name in archive.files}
-    except (OSError, ValueError, EOFError) as error:  # also what a cut archive raises
-        raise DataError(f"trajectory.npz cannot be read: {error}") from error
+        config = from_text(read_text(folder / "config.yaml"), SimulateSettings)
+    except ApccError as error:
+        raise DataError(f"config.yaml does not hold this version's settings: {in_a_line(error)}") from error
+    return config, read_arrays(folder / "trajectory.npz")
 
 
 def draw_anew(folder: Path, into: Path, figured: bool, filmed: bool) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import torch
@@ -13,13 +14,14 @@ from apcc_torch.composition.run_settings import SimulateSettings
 from apcc_torch.errors import ConfigError
 from apcc_torch.estimation.sensor_gate import SensorGate
 from apcc_torch.experiments.folder import RunFolder, progress_bar
+from apcc_torch.model.coordinates import Coordinates
 from apcc_torch.recordings.recorded_arm import TRUNK_BASE, TRUNK_DIRECTION
 from apcc_torch.recordings.recording import detect_layout, load_recording
 from apcc_torch.recordings.replay import held_out_error, replay
 from apcc_torch.recordings.replay_log import replay_metrics
 from apcc_torch.recordings.rest_pose import calibrate
 from apcc_torch.report.replay import ReplayCurves, replay_figure
-from apcc_torch.report.style import save_figure, save_figures
+from apcc_torch.report.style import save_figures
 
 
 def run(config: SimulateSettings, folder: Path) -> dict[str, float]:
@@ -77,22 +79,22 @@ def run(config: SimulateSettings, folder: Path) -> dict[str, float]:
             progress=progress_bar("held out", config.progress),
         )
         metrics = replay_metrics(log, recording.names, controller.feedback, held_out)
-    if config.figures:
-        curves = ReplayCurves(
-            log.time, log.q_bar, log.angular_error, log.linear_error, log.position_reason, log.orientation_reason
-        )
-        title, coordinates = Path(config.data).name, controller.backbone.coordinates
-        save_figures({"replay.png": replay_figure(curves, recording.names, title, coordinates)}, folder / "figures")
     calibration.save(folder / "calibration.json")
     metrics["wall_s"] = time.perf_counter() - started
     RunFolder(folder).write(metrics, log._asdict(), config.seed)
+    if config.figures:
+        _draw(log._asdict(), folder / "figures", config.data, controller.backbone.coordinates, recording.names)
     return metrics
 
 
 def redraw(config: SimulateSettings, arrays: dict[str, Tensor], into: Path, figured: bool, filmed: bool) -> None:
     """See `kinds.Kind`; there is no true arm to film."""
-    names = ("time", "q_bar", "angular_error", "linear_error", "position_reason", "orientation_reason")
-    curves, coordinates = ReplayCurves(*(arrays[name] for name in names)), Builder(config).backbone().coordinates
-    title = Path(config.data).name if config.data else ""
-    figure = replay_figure(curves, title=title, coordinates=coordinates)
-    save_figure(figure, into / "replay.png")
+    _draw(arrays, into, config.data or "", Builder(config).backbone().coordinates)
+
+
+def _draw(
+    arrays: Mapping[str, Tensor], into: Path, data: str, coordinates: Coordinates, names: Sequence[str] | None = None
+) -> None:
+    fields = ("time", "q_bar", "angular_error", "linear_error", "position_reason", "orientation_reason")
+    curves = ReplayCurves(*(arrays[name] for name in fields))
+    save_figures({"replay.png": lambda: replay_figure(curves, names, Path(data).name, coordinates)}, into)

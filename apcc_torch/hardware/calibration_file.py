@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
 
-from apcc_torch.errors import DataError
+from apcc_torch.errors import DataError, in_a_line
 from apcc_torch.estimation.rest_calibration import RestCalibration
 from apcc_torch.files import write_json
 
@@ -67,8 +67,8 @@ class ArmCalibration:
             content = json.loads(Path(path).read_text(encoding="utf-8"))
         except OSError as error:
             raise DataError(f"the calibration {path} cannot be read: {error.strerror}") from error
-        except ValueError as error:
-            raise DataError(f"the calibration {path} is not a JSON file: {error}") from error
+        except (ValueError, RecursionError) as error:
+            raise DataError(f"the calibration {path} is not a JSON file: {in_a_line(error)}") from error
         if not isinstance(content, dict) or content.get("kind") != KIND:
             raise DataError(f"{path} is not the calibration of an arm")
         if content.get("version") != VERSION:

@@ -2,14 +2,21 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from apcc_torch.errors import ConfigError
+from apcc_torch.errors import ConfigError, DataError, in_a_line
 from apcc_torch.files import draft_of
 from apcc_torch.hardware.log_reader import RobotLog
+from apcc_torch.plain_text import for_spreadsheet, for_terminal
+
+LONGEST_NAME = 100
+"""Most letters of a topic in the name of its file."""
 
 
 def columns(rows: NDArray[np.void]) -> dict[str, NDArray[np.generic]]:
@@ -37,16 +44,48 @@ def write_parquet(log: RobotLog, folder: Path | str) -> list[Path]:
         from pyarrow import parquet, table
     except ImportError as error:
         raise ConfigError("parquet needs pyarrow: pip install pyarrow") from error
-    tables = {name.strip("/").replace("/", "_"): table(columns(rows)) for name, rows in log.topics.items()}
+    tables = {}
     if log.events:
-        tables["events"] = table({key: [event[key] for event in log.events] for key in log.events[0]})
+        tables["events"] = table({key: [_cell(event[key]) for event in log.events] for key in log.events[0]})
+    for topic, rows in log.topics.items():
+        name = re.sub(r"[^A-Za-z0-9_.-]", "_", topic.strip("/"))[:LONGEST_NAME] or "_"
+        while name in tables:
+            name += "_"
+        tables[name] = table(columns(rows))
     written = []
     for name, content in tables.items():
         path = Path(folder) / f"{name}.parquet"
-        with draft_of(path) as draft:
-            parquet.write_table(content, draft)
+        with _writing(path) as draft, draft.open("wb") as file:
+            parquet.write_table(content, file)
         written.append(path)
     return written
+
+
+def _cell(value: object) -> object:
+    return for_spreadsheet(for_terminal(value)) if isinstance(value, str) else value
+
+
+@contextmanager
+def _writing(path: Path) -> Iterator[Path]:
+    """`draft_of`; raises DataError where it cannot be written."""
+    try:
+        with draft_of(path) as draft:
+            yield draft
+    except OSError as error:
+        raise DataError(f"{path} cannot be written: {in_a_line(error)}") from error
+
+
+def _timed(log: RobotLog, topic: str, *fields: str) -> NDArray[np.void]:
+    """The messages of a topic with a time.
+
+    Raises:
+        DataError: There are none, or they lack a field.
+    """
+    rows = log.topic(topic)
+    for name in ("time", *fields):
+        if name not in (rows.dtype.names or ()) or rows.dtype[name].ndim != (name not in ("time", "lateness")):
+            raise DataError(f"{topic} of the log has no {name}")
+    return rows[np.isfinite(rows["time"])]
 
 
 def write_rerun(log: RobotLog, path: Path | str) -> Path:
@@ -60,18 +99,19 @@ def write_rerun(log: RobotLog, path: Path | str) -> Path:
         import rerun
     except ImportError as error:
         raise ConfigError("this needs the rerun viewer: pip install rerun-sdk") from error
-    with draft_of(path) as draft:
+    with _writing(Path(path)) as draft:
         recording = rerun.RecordingStream("apcc_torch")
         recording.save(str(draft))
-        for row in log.topic("/measurement"):
+        for row in _timed(log, "/measurement", "poses"):
             recording.set_time("time", duration=float(row["time"]))
-            recording.log("bodies", rerun.Points3D(row["poses"].reshape(-1, 4, 4)[:, :3, 3], radii=0.01))
-        for row in log.topic("/target"):
+            poses = row["poses"][: 16 * (len(row["poses"]) // 16)].reshape(-1, 4, 4)
+            recording.log("bodies", rerun.Points3D(poses[:, :3, 3], radii=0.01))
+        for row in _timed(log, "/target", "x_d"):
             recording.set_time("time", duration=float(row["time"]))
-            recording.log("target", rerun.Points3D(row["x_d"][None], radii=0.008))
+            recording.log("target", rerun.Points3D(row["x_d"][None, :3], radii=0.008))
         curves = {"/controller": ("e", "pi_hat"), "/tendons": ("y", "sent", "effort"), "/timing": ("lateness",)}
         for topic, names in curves.items():
-            for row in log.topic(topic):
+            for row in _timed(log, topic, *names):
                 recording.set_time("time", duration=float(row["time"]))
                 for name in names:
                     recording.log(name, rerun.Scalars(np.atleast_1d(row[name])))

@@ -6,6 +6,7 @@ they are in memory: nothing is rounded, and thousands a second cost next to noth
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -13,8 +14,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from apcc_torch.errors import DataError
+
 HEADER = b"\x00\x01\x00\x00"
 """CDR: little endian, no options."""
+FIELD = re.compile(r"(?P<kind>float64|int64)(\[(?P<size>\d{1,4})\])? (?P<name>[A-Za-z]\w{0,99})", re.ASCII)
+"""A line of a message definition."""
 
 
 class Field(NamedTuple):
@@ -66,20 +71,34 @@ class Layout:
             row[field.name] = np.asarray(value).reshape(() if field.size is None else (field.size,))
         return HEADER + row.tobytes()
 
+    @property
+    def length(self) -> int:
+        """Bytes of a message."""
+        return len(HEADER) + self.dtype.itemsize
+
     def unpack(self, messages: Sequence[bytes]) -> NDArray[np.void]:
-        """All messages as one structured array (T,)."""
+        """All messages, each of `length` bytes, as one structured array (T,)."""
         return np.frombuffer(b"".join(message[len(HEADER) :] for message in messages), self.dtype)
 
 
 def layout_of(schema_name: str, topic: str, definition: str) -> Layout:
-    """The layout that a message definition describes; the reverse of `Layout.definition`."""
-    fields = []
+    """The layout that a message definition describes; the reverse of `Layout.definition`.
+
+    Raises:
+        DataError: It describes no fields, two of one name, or what no log of a run holds.
+    """
+    fields: dict[str, Field] = {}
     for line in definition.strip().splitlines():
         declared, _, about = line.partition("  # ")
-        kind, name = declared.split()
-        kind, _, size = kind.partition("[")
-        fields.append(Field(name, kind, int(size[:-1]) if size else None, about))
-    return Layout(schema_name.rpartition("/")[2], topic, tuple(fields))
+        found = FIELD.fullmatch(declared)
+        if found is None or found["name"] in fields:
+            raise DataError(f"{topic} is described by {declared[:60]!r}, which is no new field of numbers")
+        size = None if found["size"] is None else int(found["size"])
+        fields[found["name"]] = Field(found["name"], found["kind"], size, about)
+    layout = Layout(schema_name.rpartition("/")[2], topic, tuple(fields.values()))
+    if not layout.dtype.itemsize:
+        raise DataError(f"{topic} is described by nothing")
+    return layout
 
 
 def _float(name: str, about: str, size: int | None = None) -> Field:

@@ -8,8 +8,10 @@ import numpy as np
 import torch
 
 from apcc_torch.control.step_io import Target
+from apcc_torch.errors import DataError
 from apcc_torch.hardware.control import Control, Start
 from apcc_torch.hardware.interfaces import Array
+from apcc_torch.hardware.log_format import layouts
 from apcc_torch.hardware.log_reader import RobotLog
 from apcc_torch.hardware.sensing import GatedFrame
 
@@ -38,16 +40,23 @@ def replay(log: RobotLog, control: Control) -> Replayed:
         control: Built from the log's own settings, or from others to see what they would have done.
 
     Raises:
-        DataError: The log holds no control step.
+        DataError: The log holds no control step, lacks what one was given, or is of another arm.
     """
-    first = log.topic("/start")[0]
+    n, n_b = control.controller.backbone.n, control.pi_hat.shape[-1]
+    wanted = layouts(n, n_b, control.n_bodies, control.n_tendons)
+    first = log.rows(wanted.start, "q", "pi_hat", "first")[0]
     control.restart(Start(first["q"].copy(), first["pi_hat"].copy(), float(first["first"])))
-    steps, targets = log.topic("/controller"), log.topic("/target")
-    frames = {int(row["tick"]): row for row in log.topic("/measurement") if row["usable"]}
+    steps = log.rows(wanted.controller, "tick", "time", "y")
+    targets = {int(row["tick"]): row for row in log.rows(wanted.target, "tick", "x_d", "xdot_d")}
+    measured = log.rows(wanted.measurement, *(field.name for field in wanted.measurement.fields))
+    frames = {int(row["tick"]): row for row in measured if row["usable"]}
     replayed = []
     with torch.inference_mode():
-        for step, target in zip(steps, targets, strict=False):
-            frame = _frame(frames[int(step["tick"])])
+        for step in steps:
+            tick = int(step["tick"])
+            if tick not in frames or tick not in targets:
+                raise DataError(f"the log lacks what the control step of turn {tick} was given")
+            frame, target = _frame(frames[tick]), targets[tick]
             x_d, xdot_d = (torch.from_numpy(target[name].copy()).to(control.pi_hat.dtype) for name in ("x_d", "xdot_d"))
             replayed.append(control.decide(frame, float(step["time"]), Target(x_d, xdot_d)).y)
     count = len(replayed)

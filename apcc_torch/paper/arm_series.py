@@ -20,11 +20,13 @@ from apcc_torch.files import write_atomically, write_json
 from apcc_torch.hardware.records import Outcome
 from apcc_torch.hardware.stops import StopReason
 from apcc_torch.paper import mapping_study, state_feedback_study
+from apcc_torch.report.style import Draw, save_figures
 from apcc_torch.settings import check_choice
 
 log = logging.getLogger(__name__)
 
-Study = Callable[[Path, Sequence[str], bool], dict[str, float]]
+Study = Callable[[Path, Sequence[str]], tuple[dict[str, float], dict[str, Draw]]]
+"""Writes the tables of a series; returns its metrics, and what draws its figures."""
 STUDIES: Mapping[str, Study] = {"experiment_1": state_feedback_study.study, "experiment_2": mapping_study.study}
 RAN = (StopReason.ARRIVED, StopReason.DURATION, StopReason.DIVERGENCE)
 """Ends after which the next run of a series may begin; the others need someone to look at the arm."""
@@ -64,10 +66,12 @@ def series(cfg: DictConfig, settings: RealtimeSettings, folder: Path) -> tuple[O
         done.append(name)
     if outcome is None:
         raise ConfigError("series.only must name at least one run")
-    metrics = {} if s.study is None else STUDIES[s.study](folder, done, s.figures)
+    metrics, drawings = ({}, {}) if s.study is None else STUDIES[s.study](folder, done)
     metrics["runs"] = float(len(done))
     write_json(folder / "versions.json", {**versions(), "seed": settings.seed})
     write_json(folder / "metrics.json", metrics)
+    if s.figures:
+        save_figures(drawings, folder / "figures")
     return replace(outcome, reason=StopReason.COMPLETED, message=f"{len(done)} runs are in {folder}"), metrics
 
 

@@ -139,9 +139,6 @@ def run(config: BenchmarkSettings, pairs: Pairs, folder: Path) -> str:
         for name, pair in runs.items():
             check_pair(name, pair)
     results = simulate_all(pairs, folder, config.progress, config.workers)
-    if config.figures:
-        for comparison, outcomes in results.items():
-            save_paper_figures(outcomes, folder / "figures" / ("" if comparison == "A" else comparison))
     words = text(results, {name: comparison.about for name, comparison in config.grid.comparisons.items()})
     seeds = {f"{c}_{run}": pair.standard.seed for c, runs in pairs.items() for run, pair in runs.items()}
     write_json(folder / "versions.json", {**versions(), "seeds": seeds})
@@ -149,4 +146,7 @@ def run(config: BenchmarkSettings, pairs: Pairs, folder: Path) -> str:
     write_json(folder / "table.json", table(results))
     # Last: a folder with metrics is complete.
     write_json(folder / "metrics.json", flat_metrics(results) | {"wall_s": time.perf_counter() - started})
+    if config.figures:
+        for comparison, outcomes in results.items():
+            save_paper_figures(outcomes, folder / "figures" / ("" if comparison == "A" else comparison))
     return words

@@ -3,34 +3,34 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from apcc_torch.experiments.dynamic import snapshots
 from apcc_torch.paper.outcomes import HELD_OUT, SINGLE, Outcome, Outcomes
 from apcc_torch.report import dynamic as figures
+from apcc_torch.report import style
 from apcc_torch.report.animation import save_animation
 from apcc_torch.report.backbone_drawing import stroboscopic_figure
-from apcc_torch.report.style import save_figure
 from apcc_torch.report.trade_off import TradeOff, trade_off_figure
 
 MOMENTS = 6
 """Shapes in a stroboscopic figure."""
 
 
-Draw = Callable[[Mapping[str, Outcome], str, Path], Path]
-"""Draws both controllers' outcomes under a title into a file."""
+Draw = Callable[[Mapping[str, Outcome], str], Any]
+"""Draws both controllers' outcomes under a title."""
 
 
-def stroboscope(runs: Mapping[str, Outcome], title: str, path: Path) -> Path:
+def stroboscope(runs: Mapping[str, Outcome], title: str) -> Any:
     """Both controllers' shapes of one run alone."""
-    shots = {name: snapshots(o.log, o.arms, 0, MOMENTS) for name, o in runs.items()}
-    return save_figure(stroboscopic_figure(shots, title=title), path)
+    return stroboscopic_figure({name: snapshots(o.log, o.arms, 0, MOMENTS) for name, o in runs.items()}, title=title)
 
 
 def drawn(figure: Callable[[figures.Runs, str], Any]) -> Draw:
     """A figure of curves as one of outcomes."""
-    return lambda runs, title, path: save_figure(figure({name: o.curves for name, o in runs.items()}, title), path)
+    return lambda runs, title: figure({name: o.curves for name, o in runs.items()}, title)
 
 
 SHAPE, PSI = drawn(figures.shape_error_figure), drawn(figures.psi_figure)
@@ -74,18 +74,20 @@ def save_paper_figures(outcomes: Outcomes, folder: Path) -> list[Path]:
         outcomes: Run -> controller -> outcome.
         folder: Where to.
     """
-    paths = [
-        draw(outcomes[run], title, folder / f"figure_{number}.png")
+    wanted: dict[str, style.Draw] = {
+        f"figure_{number}.png": partial(draw, outcomes[run], title)
         for number, (run, draw, title) in NUMBERED.items()
         if run in outcomes
-    ]
+    }
     chosen = trade_offs(outcomes)
     if chosen:
-        paths.append(save_figure(trade_off_figure(chosen), folder / "trade_off.png"))
+        wanted["trade_off.png"] = lambda: trade_off_figure(chosen)
+    paths = style.save_figures(wanted, folder)
     for name, o in outcomes.get("run_2_single", {}).items():
         film = {
             "shape error (mm)": 1e3 * o.curves.shape_error[:, 0],
             "end-effector error (mm)": 1e3 * o.curves.e[:, 0],
         }
-        paths.append(save_animation(folder / f"single_run_{name}", snapshots(o.log, o.arms, 0, None), film))
+        with style.attempt(f"the film of {name}"):
+            paths.append(save_animation(folder / f"single_run_{name}", snapshots(o.log, o.arms, 0, None), film))
     return paths

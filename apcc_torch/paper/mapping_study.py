@@ -6,15 +6,15 @@ of the paper, the controller.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
 from apcc_torch.composition.build import Builder
-from apcc_torch.errors import ConfigError
+from apcc_torch.errors import ConfigError, DataError
 from apcc_torch.estimation.sensor_curve import SensorCurve
 from apcc_torch.experiments.realtime_run import LOG, settings_of
 from apcc_torch.files import write_atomically, write_json
@@ -22,7 +22,7 @@ from apcc_torch.hardware.log_reader import RobotLog, read_log
 from apcc_torch.model.kinematic_model import KinematicModel
 from apcc_torch.report.dynamic import RunCurves, mapping_error_figure, psi_figure, sensor_figure
 from apcc_torch.report.overlay import Overlay, error_figure, overlay_figure
-from apcc_torch.report.style import save_figures
+from apcc_torch.report.style import Draw
 
 FIGURES = {
     "1": {"overlay": 27, "error": 28, "psi": 29, "mapping": 30},
@@ -62,6 +62,9 @@ def curves(record: RobotLog) -> Run:
     build = Builder(config)
     steps, frames = record.topic("/controller"), record.topic("/measurement")
     poses = {int(row["tick"]): row["poses"] for row in frames}
+    lacking = [int(tick) for tick in steps["tick"] if int(tick) not in poses]
+    if lacking:
+        raise DataError(f"the log lacks the measurement of turn {lacking[0]}, which a control step was given")
     T = torch.stack([torch.tensor(poses[int(tick)]).unflatten(-1, (-1, 4, 4)) for tick in steps["tick"]])
     time, e, q_bar, q_d, pi_hat, angular, linear = (
         torch.tensor(steps[name]) for name in ("time", "e", "q_bar", "q_d", "pi_hat", "angular_error", "linear_error")
@@ -110,16 +113,15 @@ def split(name: str) -> tuple[str, str, str]:
     return parts[0], parts[1], parts[2]
 
 
-def study(folder: Path, runs: Sequence[str], figures: bool) -> dict[str, float]:
-    """The table of all runs (table.json, table.txt) and figures 27 to 39 of each layout.
+def study(folder: Path, runs: Sequence[str]) -> tuple[dict[str, float], dict[str, Draw]]:
+    """The table of all runs (table.json, table.txt), and what draws figures 27 to 39 of each layout.
 
     Args:
         folder: Of the series.
         runs: Their names, a folder each.
-        figures: Whether to draw.
 
     Returns:
-        Every number of every run, flat.
+        Every number of every run, flat; and file name -> what draws it.
     """
     records: dict[tuple[str, str], dict[str, Run]] = {}
     table: dict[str, dict[str, float]] = {}
@@ -130,24 +132,26 @@ def study(folder: Path, runs: Sequence[str], figures: bool) -> dict[str, float]:
         table[name] = numbers(record)
     write_json(folder / "table.json", table)
     write_atomically(folder / "table.txt", text(table))
-    if figures:
-        for (layout, run), members in records.items():
-            save_figures(_drawn(run, members), folder / "figures" / layout)
-    return {f"{name}_{key}": value for name, row in table.items() for key, value in row.items()}
+    drawings = {
+        f"{layout}/{file}": draw
+        for (layout, run), members in records.items()
+        for file, draw in _drawn(run, members).items()
+    }
+    return {f"{name}_{key}": value for name, row in table.items() for key, value in row.items()}, drawings
 
 
-def _drawn(run: str, members: dict[str, Run]) -> dict[str, Any]:
-    """The run's figures by file name."""
+def _drawn(run: str, members: dict[str, Run]) -> dict[str, Draw]:
+    """What draws the run's figures, by file name."""
     all_curves = {name: member.curves for name, member in members.items()}
     arrival = next(iter(members.values())).arrival
-    drawings: dict[str, Callable[[], Any]] = {
+    drawings: dict[str, Draw] = {
         "error": lambda: error_figure(all_curves, arrival),
         "psi": lambda: psi_figure(all_curves),
         "mapping": lambda: mapping_error_figure(all_curves),
         "sensors": lambda: sensor_figure(all_curves),
         "overlay": lambda: overlay_figure({name: member.overlay for name, member in members.items()}),
     }
-    return {f"fig_{number}.png": drawings[kind]() for kind, number in FIGURES[run].items()}
+    return {f"fig_{number}.png": drawings[kind] for kind, number in FIGURES[run].items()}
 
 
 def text(table: dict[str, dict[str, float]]) -> str:

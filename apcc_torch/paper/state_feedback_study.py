@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -17,7 +18,7 @@ from apcc_torch.experiments.realtime_run import LOG, settings_of
 from apcc_torch.files import write_atomically, write_json
 from apcc_torch.hardware.log_reader import read_log
 from apcc_torch.report.state_feedback import Estimate, Estimates, final_figure, four_panel_figure, norm_figure
-from apcc_torch.report.style import save_figures
+from apcc_torch.report.style import Draw
 
 MODES = ("pose", "position")
 STROBOSCOPIC = {"run_4": "fig_23.png", "run_8": "fig_24.png"}
@@ -40,11 +41,13 @@ def motion(folder: Path) -> tuple[RealtimeSettings, Motion]:
     """A run's settings and what its sensors saw.
 
     Raises:
-        DataError: The log cannot be read.
+        DataError: The log cannot be read, or has no usable measurement.
     """
     record = read_log(folder / LOG)
     rows = record.topic("/measurement")
     rows = rows[rows["usable"] == 1]
+    if not len(rows):
+        raise DataError(f"{folder / LOG} has no measurement that an estimate could be made from")
     poses = torch.tensor(rows["poses"]).unflatten(-1, (-1, 4, 4))
     masks = (torch.tensor(rows[name]).bool() for name in ("position_ok", "orientation_ok"))
     return settings_of(record), Motion(torch.tensor(rows["time"]), poses, *masks)
@@ -81,16 +84,15 @@ def estimate(config: RealtimeSettings, seen: Motion) -> Estimates:
     return outcome
 
 
-def study(folder: Path, runs: Sequence[str], figures: bool) -> dict[str, float]:
-    """The table of all runs (table.json, table.txt) and figures 23 to 26.
+def study(folder: Path, runs: Sequence[str]) -> tuple[dict[str, float], dict[str, Draw]]:
+    """The table of all runs (table.json, table.txt), and what draws figures 23 to 26.
 
     Args:
         folder: Of the series.
         runs: Their names, a folder each.
-        figures: Whether to draw.
 
     Returns:
-        Means over the runs, SI units in the names.
+        Means over the runs, SI units in the names; and file name -> what draws it.
     """
     outcome: dict[str, Estimates] = {}
     table: dict[str, object] = {}
@@ -109,19 +111,18 @@ def study(folder: Path, runs: Sequence[str], figures: bool) -> dict[str, float]:
         }
     write_json(folder / "table.json", table)
     write_atomically(folder / "table.txt", text(outcome))
-    if figures:
-        drawn = {
-            STROBOSCOPIC[name]: four_panel_figure(outcome[name], MOMENTS, name) for name in runs if name in STROBOSCOPIC
-        }
-        drawn["fig_25.png"] = final_figure({name: last[name] for name in runs if name in STROBOSCOPIC} or last)
-        drawn["fig_26.png"] = norm_figure(list(outcome.values()))
-        save_figures(drawn, folder / "figures")
+    shown = [name for name in runs if name in STROBOSCOPIC]
+    drawings: dict[str, Draw] = {
+        STROBOSCOPIC[name]: partial(four_panel_figure, outcome[name], MOMENTS, name) for name in shown
+    }
+    drawings["fig_25.png"] = lambda: final_figure({name: last[name] for name in shown} or last)
+    drawings["fig_26.png"] = lambda: norm_figure(list(outcome.values()))
     keys = next(iter(outcome.values())).keys()
     metrics: dict[str, float] = {}
     for case, mode in keys:
         for name, value in _mean([numbers(e[case, mode]) for e in outcome.values()]).items():
             metrics[f"{case.replace('-', '_')}_{mode}_{name}"] = value
-    return metrics
+    return metrics, drawings
 
 
 def numbers(e: Estimate) -> dict[str, float]:

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import zipfile
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-import numpy as np
 import torch
 from torch import Tensor
 
@@ -15,7 +13,7 @@ from apcc_torch.errors import DataError, ShapeError
 from apcc_torch.estimation.feedback import FeedbackStatus
 from apcc_torch.estimation.sensor_gate import Reason
 from apcc_torch.estimation.state_feedback import StateFeedback
-from apcc_torch.files import write_arrays
+from apcc_torch.files import read_arrays, write_arrays
 from apcc_torch.lie.rotations import rotation_angle
 from apcc_torch.model.abscissae import decouple
 
@@ -195,7 +193,7 @@ def read_replay(folder: str | Path) -> ReplayLog:
     """
     path = Path(folder) / "replay.npz"
     try:
-        with np.load(path) as content:
-            return ReplayLog(**{name: torch.from_numpy(content[name]) for name in ReplayLog._fields})
-    except (OSError, EOFError, KeyError, ValueError, zipfile.BadZipFile) as error:
+        content = read_arrays(path)
+        return ReplayLog(**{name: content[name] for name in ReplayLog._fields})
+    except (DataError, KeyError) as error:
         raise DataError(f"{path}: cannot be read as a replay ({error})") from error

@@ -7,12 +7,14 @@ import shutil
 import sys
 import tempfile
 from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import TypeVar
 
 from tqdm import tqdm
 
-from apcc_torch.errors import ApccError, one_sentence
+from apcc_torch.errors import DataError, in_a_line, one_sentence
 from apcc_torch.experiments.redrawing import draw_anew
 from apcc_torch.files import write_atomically
 from apcc_torch.report import pictures
@@ -21,7 +23,8 @@ from apcc_torch.report.page.html import Page
 from apcc_torch.report.pictures import Picture
 from apcc_torch.report.ranking import HIGHER_IS_BETTER, choose_metric, ranked, remarks, summary
 from apcc_torch.report.run_record import COMPLETE, Run
-from apcc_torch.report.run_table import RunTable, differing, has_parquet, tidy, write_csv, write_parquet
+from apcc_torch.report.run_table import RunTable, differing, has_parquet, line, tidy, write_csv, write_parquet
+from apcc_torch.report.style import failures_told
 
 PICTURE_BYTES = 10_000_000
 """Room for figures and films in a page; the best and the worst runs' come first."""
@@ -93,15 +96,21 @@ def illustrate_all(
     chosen = [(row, folder) for row, folder in candidates if row not in bare[fresh:]]
     for count, (row, folder) in enumerate(bar(chosen[:most], "figures", "run")):
         try:
-            shown = illustrate(folder, count < films)
-        except ApccError as error:
-            warn(f"{runs[row].name} is shown without figures: {error}")
+            with failures_told(partial(_warn_of, runs[row])):
+                shown = illustrate(folder, count < films)
+        except Exception as error:  # of one run; arrays that fit neither settings nor each other fail in any way
+            warn(f"{runs[row].name} is shown without figures: {in_a_line(error)}")
             continue
         room -= sum(len(picture.uri) for picture in shown)
         if room < 0:
             break
-        shown_by_row[row] = shown
+        if shown:
+            shown_by_row[row] = shown
     return shown_by_row
+
+
+def _warn_of(run: Run, said: str) -> None:
+    warn(f"{run.name}: {said}")
 
 
 def default_title(runs: Sequence[Run], table: RunTable) -> str:
@@ -121,14 +130,14 @@ def footer(runs: Sequence[Run]) -> str:
     known: dict[str, set[str]] = {}
     for run in runs:
         for name, version in run.versions.items():
-            known.setdefault(name, set()).add(str(version))
+            known.setdefault(line(name), set()).add(line(str(version)))
     told = [f"{name} {used.pop()}" if len(used) == 1 else f"{name} differs" for name, used in known.items()]
     return "Computed with " + ", ".join(told) + "." if told else ""
 
 
 def warn(text: str) -> None:
     """One line on the terminal's error stream, above any progress bar."""
-    tqdm.write(text, file=sys.stderr)
+    tqdm.write(line(text), file=sys.stderr)
 
 
 def arguments(argv: Sequence[str] | None) -> argparse.Namespace:
@@ -156,6 +165,15 @@ def arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     return given
 
 
+@contextmanager
+def writing_to(folder: Path) -> Iterator[None]:
+    """Raises DataError where a file cannot be written into the folder."""
+    try:
+        yield
+    except OSError as error:
+        raise DataError(f"--out must be a folder to write into, but {folder}: {in_a_line(error)}") from error
+
+
 def report(given: argparse.Namespace) -> list[Path]:
     """Collects, prints the summary and writes the files; returns their paths.
 
@@ -163,15 +181,16 @@ def report(given: argparse.Namespace) -> list[Path]:
         ApccError: There is no run, or an argument has no meaning.
     """
     collection = collect(given.runs, lambda folders: bar(folders, "reading", "run"))
-    for line in collection.skipped:
-        warn(line)
+    for passed_over in collection.skipped:
+        warn(passed_over)
     runs = collection.runs
     table = tidy(runs)
     out: Path = given.out or given.runs[0]
-    written = [write_csv(table, out / "runs.csv")]
-    if has_parquet():
-        written.append(write_parquet(table, out / "runs.parquet"))
-    else:
+    with writing_to(out):
+        written = [write_csv(table, out / "runs.csv")]
+        if has_parquet():
+            written.append(write_parquet(table, out / "runs.parquet"))
+    if not has_parquet():
         warn('runs.parquet is not written, it needs pyarrow: pip install "apcc-torch[report]"; runs.csv holds the same')
     if all(run.status != COMPLETE for run in runs):
         sys.stdout.write("\n".join(remarks(table)[1:]) + "\n\n")
@@ -183,15 +202,16 @@ def report(given: argparse.Namespace) -> list[Path]:
         folders = [row for row, run in enumerate(runs) if run.folder is not None and run.status == COMPLETE]
         title = given.title or default_title(runs, table)
         page = Page(title, table, metric, descending, shown_by_row, folders, footer(runs))
-        written.append(write_atomically(out / "report.html", page.html()))
+        with writing_to(out):
+            written.append(write_atomically(out / "report.html", page.html()))
     return written
 
 
 def main(argv: Sequence[str] | None = None) -> None:
     """Console entry point."""
-    with one_sentence(lambda said: sys.stderr.write(f"{said}\n")):
+    with one_sentence(warn):
         written = report(arguments(argv))
-    sys.stdout.write("\nwritten: " + ", ".join(str(path) for path in written) + "\n")
+    sys.stdout.write("\nwritten: " + ", ".join(line(str(path)) for path in written) + "\n")
 
 
 if __name__ == "__main__":

@@ -164,13 +164,14 @@ def save_animation(
         check_tensor(label, curve[None], (1, len(shots.time)))
     if not (fps > 0 and speed > 0 and max_frames > 0):
         raise ValueRangeError(f"fps, speed and max_frames must be positive, got {fps}, {speed}, {max_frames}")
-    stage = Stage(shots, readouts, Camera() if camera is None else camera)
-    indices = frame_indices(stage.time, fps, speed, max_frames)
-    pictures = (stage.frame(int(k)) for k in indices)
-    base = Path(path_without_suffix)
+    # An absolute path: ffmpeg takes what stands before a colon for a protocol.
+    base = Path(path_without_suffix).absolute()
     film = has_ffmpeg()
     target = base.with_name(base.name + (".mp4" if film else ".gif"))
-    with draft_of(target) as draft:
+    with style.own_look(), draft_of(target) as draft:
+        stage = Stage(shots, readouts, Camera() if camera is None else camera)
+        indices = frame_indices(stage.time, fps, speed, max_frames)
+        pictures = (stage.frame(int(k)) for k in indices)
         if film:
             _write_mp4(draft, pictures, fps)
         else:

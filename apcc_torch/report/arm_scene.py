@@ -40,17 +40,22 @@ class ArmScene:
     def __init__(self, length: float = 0.6, upward: bool = False) -> None:
         down, up = (-1.0 / 30.0, 4.0 / 3.0) if upward else (-4.0 / 3.0, 1.0 / 30.0)
         box = Box(length * np.array((-0.75, -0.75, down)), length * np.array((0.75, 0.75, up)))
-        self.figure = style.new_figure(*INCHES, constrained=False)
-        self.figure.set_dpi(PIXELS_PER_INCH)
-        self.canvas = FigureCanvasAgg(self.figure)
-        self.space = Space(self.figure.add_axes((0.0, 0.0, 0.96, 0.94)), box)
-        draw_base(self.space)
-        self.title = self.figure.text(0.03, 0.955, "", fontsize=11, color=style.INK)
+        with style.own_look():
+            self.figure = style.new_figure(*INCHES, constrained=False)
+            self.figure.set_dpi(PIXELS_PER_INCH)
+            self.canvas = FigureCanvasAgg(self.figure)
+            self.space = Space(self.figure.add_axes((0.0, 0.0, 0.96, 0.94)), box)
+            draw_base(self.space)
+            self.title = self.figure.text(0.03, 0.955, "", fontsize=11, color=style.INK)
         self.moving: list[Any] = []
         self.window: Any = None
 
     def frame(self, arm: Arm) -> NDArray[Any]:
         """The picture, (H, W, 3) uint8."""
+        with style.own_look():
+            return self._frame(arm)
+
+    def _frame(self, arm: Arm) -> NDArray[Any]:
         for line in self.moving:
             line.remove()
         look = {"color": style.EDGE, "linewidth": 0.9, "zorder": 1.8}

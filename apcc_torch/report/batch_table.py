@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 import csv
+import io
+import os
 from collections import ChainMap
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
 from apcc_torch.errors import DataError
+from apcc_torch.files import read_text
 from apcc_torch.report.run_record import COMPLETE, FAILED, Run
 from apcc_torch.report.settings import scalar
 
 POINTS = "points.csv"
+MOST_POINTS = 2**28
+"""Largest table of points that is read, bytes."""
 
 
 def read_points(folder: Path, batch: Run, prefix: str) -> Iterator[Run]:
@@ -29,19 +34,18 @@ def read_points(folder: Path, batch: Run, prefix: str) -> Iterator[Run]:
     Raises:
         DataError: The file cannot be read, a row is too short, or a metric is not a number.
     """
+    reader = csv.reader(io.StringIO(read_text(folder / POINTS, MOST_POINTS), newline=""))
     try:
-        with (folder / POINTS).open(newline="", encoding="utf-8") as file:
-            reader = csv.reader(file)
-            header = next(reader, [])
-            rows = list(reader)
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        header = next(reader, [])
+        rows = list(reader)
+    except csv.Error as error:
         raise DataError(f"{POINTS} cannot be read: {error}") from error
-    if "point" not in header:
-        raise DataError(f"{POINTS} must have a column named point")
+    if "point" not in header or len(set(header)) < len(header):
+        raise DataError(f"{POINTS} must have a column named point, and no two of one name")
     groups = {key[:k] for key in batch.settings for k, letter in enumerate(key) if letter == "."}
     own = tuple(column for column in header if "." in column or column in batch.settings or column in groups)
     kept = folder / "points"
-    with_folder = {inner.name for inner in kept.iterdir()} if kept.is_dir() else set()
+    with_folder = set(os.listdir(kept)) if kept.is_dir() else set()
     base = dict(batch.settings)  # one for all points: they differ in few keys
     for line, row in enumerate(rows, start=2):
         if len(row) != len(header):

@@ -44,8 +44,8 @@ class Outcome(NamedTuple):
     parameters: Sequence[Interval]
 
 
-def identification_figures(outcome: Outcome, length: float, title: str) -> dict[str, Figure]:
-    """File name -> figure.
+def identification_figures(outcome: Outcome, length: float, title: str) -> dict[str, style.Draw]:
+    """File name -> what draws it.
 
     Args:
         outcome: What is drawn.
@@ -53,10 +53,10 @@ def identification_figures(outcome: Outcome, length: float, title: str) -> dict[
         title: Of the arm.
     """
     return {
-        "models.png": models_figure(outcome, length, title),
-        "prediction.png": prediction_figure(outcome, title),
-        "residual.png": residual_figure(outcome, title),
-        "parameters.png": parameters_figure(outcome.parameters, title),
+        "models.png": lambda: models_figure(outcome, length, title),
+        "prediction.png": lambda: prediction_figure(outcome, title),
+        "residual.png": lambda: residual_figure(outcome, title),
+        "parameters.png": lambda: parameters_figure(outcome.parameters, title),
     }
 
 

@@ -210,10 +210,10 @@ def _draw_sensors(ax: Axes, time: Array, error: Array, names: Sequence[str]) -> 
 
 def kinematic_figures(
     log: KinematicLog, pi: Tensor, abscissae: Tensor, backbone: KinematicModel, shape_error: Tensor | None = None
-) -> dict[str, Figure]:
-    """{file name: figure} of one row's run; arguments as `convergence_figure`."""
+) -> dict[str, style.Draw]:
+    """{file name: what draws it} of one row's run; arguments as `convergence_figure`."""
     return {
-        "figure_7.png": convergence_figure(log, pi, abscissae, backbone, shape_error=shape_error),
-        "figure_8.png": parameter_figure(log, pi),
-        "figure_9.png": sensor_figure(log, abscissae),
+        "figure_7.png": lambda: convergence_figure(log, pi, abscissae, backbone, shape_error=shape_error),
+        "figure_8.png": lambda: parameter_figure(log, pi),
+        "figure_9.png": lambda: sensor_figure(log, abscissae),
     }

@@ -7,9 +7,9 @@ import io
 from pathlib import Path
 from typing import NamedTuple
 
-from PIL import Image, UnidentifiedImageError
+from PIL import Image
 
-from apcc_torch.errors import DataError
+from apcc_torch.errors import DataError, in_a_line
 
 CAPTIONS = {
     "figure_7.png": "Arm and model, tip error, length, shape error (Fig. 7)",
@@ -29,6 +29,8 @@ FILMS = {".mp4": "video/mp4", ".gif": "image/gif"}
 WIDEST = 1500
 """Pixels of the widest picture."""
 QUALITY = 80
+LARGEST = 2**25
+"""Bytes of the largest picture or film that is read."""
 
 
 class Picture(NamedTuple):
@@ -59,8 +61,8 @@ def picture(name: str, content: bytes) -> Picture:
     """
     try:
         image = Image.open(io.BytesIO(content)).convert("RGB")
-    except (UnidentifiedImageError, OSError) as error:
-        raise DataError(f"{name} is no picture") from error
+    except Exception as error:  # Pillow raises as many kinds as there are ways to damage a picture
+        raise DataError(f"{name} is no picture: {in_a_line(error)}") from error
     if image.width > WIDEST:
         image = image.resize((WIDEST, round(image.height * WIDEST / image.width)))
     buffer = io.BytesIO()
@@ -78,12 +80,22 @@ def stored(folder: Path) -> list[Picture]:
     """
     rank = {name: k for k, name in enumerate(CAPTIONS)}
     paths = sorted((folder / "figures").glob("*.png"), key=lambda path: (rank.get(path.name, len(rank)), path.name))
-    return [picture(path.name, path.read_bytes()) for path in paths]
+    return [picture(path.name, _content(path)) for path in paths]
+
+
+def _content(path: Path) -> bytes:
+    """The file, which must not be larger than a page may be."""
+    try:
+        if not path.is_file() or path.stat().st_size > LARGEST:
+            raise DataError(f"{path.name} is no file, or has over {LARGEST / 2**20:g} MiB")
+        return path.read_bytes()
+    except OSError as error:
+        raise DataError(f"{path.name} cannot be read: {in_a_line(error)}") from error
 
 
 def film(path: Path) -> Picture:
     """A film file as it is."""
-    return Picture(path.stem, "The run as a film", data_uri(path.read_bytes(), FILMS[path.suffix]), True)
+    return Picture(path.stem, "The run as a film", data_uri(_content(path), FILMS[path.suffix]), True)
 
 
 def stored_film(folder: Path) -> Picture | None:

@@ -5,10 +5,11 @@ from __future__ import annotations
 import csv
 import io
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from apcc_torch.files import draft_of, write_atomically
+from apcc_torch.plain_text import for_spreadsheet, for_terminal
 from apcc_torch.report.run_record import Run
 from apcc_torch.report.settings import comparable, swept_keys, text_of
 from apcc_torch.report.units import Label, key_label, metric_label
@@ -81,11 +82,30 @@ def tidy(runs: Sequence[Run]) -> RunTable:
         _metric(WALL, runs),
         _words("note", [run.note for run in runs]),
     ]
-    return RunTable(columns)
+    return RunTable(_told_apart(columns))
 
 
-def _words(name: str, cells: list[str]) -> Column:
-    return Column(name, ABOUT, Label(name, ""), list(cells), False)
+def _told_apart(columns: Sequence[Column]) -> list[Column]:
+    """The columns, each of a name of its own: what a file calls a value may be the name of another column."""
+    taken = {column.name for column in columns if column.kind == ABOUT}
+    result = []
+    for column in columns:
+        name = column.name
+        if column.kind != ABOUT:
+            while name in taken:
+                name += f" ({column.kind})"
+            taken.add(name)
+        result.append(replace(column, name=name))
+    return result
+
+
+def line(text: str) -> str:
+    """Text of a file as one line, which shows and does nothing else."""
+    return for_terminal(text).replace("\n", r"\n").replace("\t", r"\t")
+
+
+def _words(name: str, cells: Sequence[str]) -> Column:
+    return Column(name, ABOUT, Label(name, ""), [line(cell) for cell in cells], False)
 
 
 def _setting(run: Run, key: str) -> object:
@@ -95,19 +115,26 @@ def _setting(run: Run, key: str) -> object:
 def _key(key: str, values: list[object]) -> Column:
     """A column of numbers where every value is one, else of texts."""
     given = [value for value in values if value is not None]
-    number = bool(given) and all(isinstance(value, int | float) and not isinstance(value, bool) for value in given)
+    number = bool(given) and all(_is_number(value) for value in given)
     cells: list[Cell]
     if not number:
-        cells = [None if value is None else text_of(value) for value in values]
+        cells = [None if value is None else line(text_of(value)) for value in values]
     elif all(isinstance(value, int) for value in given):
         cells = [None if value is None else int(value) for value in values]  # type: ignore[call-overload]
     else:
         cells = [None if value is None else float(value) for value in values]  # type: ignore[arg-type]
-    return Column(key, KEY, key_label(key), cells, number)
+    return Column(line(key), KEY, key_label(line(key)), cells, number)
+
+
+def _is_number(value: object) -> bool:
+    """Whether the value is a number that every table can hold."""
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return False
+    return isinstance(value, float) or abs(value) < 2**63
 
 
 def _metric(name: str, runs: Sequence[Run]) -> Column:
-    return Column(name, METRIC, metric_label(name), [run.metrics.get(name) for run in runs], True)
+    return Column(line(name), METRIC, metric_label(line(name)), [run.metrics.get(name) for run in runs], True)
 
 
 def differing(table: RunTable) -> list[Column]:
@@ -116,13 +143,20 @@ def differing(table: RunTable) -> list[Column]:
 
 
 def write_csv(table: RunTable, path: Path) -> Path:
-    """Writes the table as CSV; a number's text reads back as the same number, no value is an empty cell."""
+    """Writes the table as CSV; a number's text reads back as the same number, no value is an empty cell.
+
+    Texts that a spreadsheet would carry out have an apostrophe before them.
+    """
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(column.name for column in table.columns)
-    cells = zip(*(column.cells for column in table.columns), strict=True)
+    writer.writerow(for_spreadsheet(column.name) for column in table.columns)
+    cells = zip(*(_exported(column) for column in table.columns), strict=True)
     writer.writerows(["" if cell is None else cell for cell in row] for row in cells)
     return write_atomically(path, text.getvalue())
+
+
+def _exported(column: Column) -> list[Cell]:
+    return [for_spreadsheet(cell) if isinstance(cell, str) else cell for cell in column.cells]
 
 
 def has_parquet() -> bool:
@@ -132,13 +166,14 @@ def has_parquet() -> bool:
 
 def write_parquet(table: RunTable, path: Path) -> Path:
     """Writes the table as Parquet: numbers as int64 or float64, texts as strings. `has_parquet` says whether it can."""
-    data = pyarrow.table({column.name: _arrow(column) for column in table.columns})
-    with draft_of(path) as draft:
-        parquet.write_table(data, draft)
+    data = pyarrow.table({for_spreadsheet(column.name): _arrow(column) for column in table.columns})
+    # An open file: of a path pyarrow makes an address, which not every name is.
+    with draft_of(path) as draft, draft.open("wb") as file:
+        parquet.write_table(data, file)
     return path
 
 
 def _arrow(column: Column) -> object:
     whole = column.number and column.kind == KEY and all(isinstance(cell, int | None) for cell in column.cells)
     kind = pyarrow.int64() if whole else pyarrow.float64() if column.number else pyarrow.string()
-    return pyarrow.array(column.cells, kind)
+    return pyarrow.array(_exported(column), kind)

@@ -6,14 +6,9 @@ import json
 import re
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
-from pathlib import Path
-
-import yaml
 
 from apcc_torch.errors import DataError
-
-Loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
-"""The parser in C, where PyYAML was built with it: ten times faster."""
+from apcc_torch.files import yaml_in
 
 POWER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)[eE][+-]?\d+")
 
@@ -21,18 +16,6 @@ NAME = "experiment.name"
 """The setting that names a run's experiment, which chooses most of the others."""
 HOW = ("batch", "figures", "hydra", "jobs", "objective", "progress", "prune", "resume", "sweep", "threads")
 """Keys, and first parts of keys, that say how runs are computed, not what is computed: no setting to compare."""
-
-
-def load_yaml(path: Path) -> object:
-    """The content of a YAML file.
-
-    Raises:
-        DataError: The file cannot be read, or is not YAML.
-    """
-    try:
-        return yaml.load(path.read_text(encoding="utf-8"), Loader)
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        raise DataError(f"{path.name} cannot be read: {str(error).splitlines()[0]}") from error
 
 
 @lru_cache(maxsize=65536)
@@ -44,8 +27,8 @@ def scalar(text: str) -> object:
     if POWER.fullmatch(text):
         return float(text)
     try:
-        return yaml.load(text, Loader)
-    except yaml.YAMLError:
+        return yaml_in(text, "")
+    except DataError:
         return text
 
 
@@ -71,8 +54,8 @@ def comparable(value: object) -> object:
     """A hashable stand-in that is equal for equal settings: 1 and 1.0 are the same, 1 and true are not."""
     if isinstance(value, bool):
         return ("bool", value)
-    if isinstance(value, int | float):
-        return float(value)
+    if isinstance(value, float) and value != value:
+        return ("nan",)
     if isinstance(value, list | tuple):
         return tuple(comparable(entry) for entry in value)
     return value
@@ -82,7 +65,12 @@ def text_of(value: object) -> str:
     """A setting as text for people: true, 0.3, pose, [0.1, 0.2]; "" for null."""
     if value is None:
         return ""
-    return value if isinstance(value, str) else json.dumps(value, default=str)
+    if isinstance(value, str):
+        return value
+    try:
+        return json.dumps(value, default=str)
+    except TypeError:  # a date that names a value
+        return str(value)
 
 
 def is_how(key: str) -> bool:

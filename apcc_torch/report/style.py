@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Mapping, Sequence
+import logging
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib import colors
+from matplotlib import colors, rc_context, rcParamsDefault
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 from numpy.typing import NDArray
 from torch import Tensor
 
+from apcc_torch.errors import in_a_line
 from apcc_torch.files import write_atomically
 
 Array = NDArray[Any]
@@ -30,6 +34,14 @@ DASHES: tuple[Any, ...] = ("-", (0, (5, 2)), (0, (1.2, 1.4)), (0, (6, 2, 1.2, 2)
 TITLE, LABEL, TICK, LEGEND = 13.0, 12.0, 11.0, 11.0
 LINE = 2.0
 DPI = 150
+LOOK = {key: value for key, value in rcParamsDefault.items() if not key.startswith(("backend", "interactive"))}
+"""matplotlib's own settings, on which the rest of the look builds."""
+
+Draw = Callable[[], Figure]
+"""Draws a figure when it is called."""
+
+log = logging.getLogger(__name__)
+_tell: ContextVar[Callable[[str], object]] = ContextVar("tell", default=log.warning)
 
 
 def values(tensor: Tensor) -> Array:
@@ -112,6 +124,37 @@ def controller_color(name: str, index: int) -> str:
     return CONTROLLERS.get(name, SERIES[index % len(SERIES)])
 
 
+@contextmanager
+def own_look() -> Iterator[None]:
+    """Figures made and saved within have the one look, whatever a user's matplotlibrc asks for."""
+    with rc_context(LOOK):
+        yield
+
+
+@contextmanager
+def failures_told(tell: Callable[[str], object]) -> Iterator[None]:
+    """Within, a figure that cannot be drawn is told to `tell`; else it is a warning in the log."""
+    token = _tell.set(tell)
+    try:
+        yield
+    finally:
+        _tell.reset(token)
+
+
+@contextmanager
+def attempt(name: str) -> Iterator[None]:
+    """Draws in the own look; a failure is told in one sentence, and what comes after goes on.
+
+    Args:
+        name: What is drawn.
+    """
+    try:
+        with own_look():
+            yield
+    except Exception as error:  # of one figure, whatever it is: what a run has computed is worth more
+        _tell.get()(f"{name} is not drawn: {in_a_line(error)}")
+
+
 def save_figure(figure: Figure, path: Path | str, dpi: float = DPI) -> Path:
     """Writes the figure in the format of the path's suffix, so that a reader never meets half a file.
 
@@ -125,10 +168,24 @@ def save_figure(figure: Figure, path: Path | str, dpi: float = DPI) -> Path:
     """
     target = Path(path)
     buffer = io.BytesIO()
-    figure.savefig(buffer, format=target.suffix.lstrip(".") or "png", dpi=dpi)
+    with own_look():
+        figure.savefig(buffer, format=target.suffix.lstrip(".") or "png", dpi=dpi)
     return write_atomically(target, buffer.getvalue())
 
 
-def save_figures(figures: Mapping[str, Figure], folder: Path | str, dpi: float = DPI) -> list[Path]:
-    """`save_figure` for each {file name: figure} of a set, into one folder."""
-    return [save_figure(figure, Path(folder) / name, dpi) for name, figure in figures.items()]
+def save_figures(figures: Mapping[str, Draw], folder: Path | str, dpi: float = DPI) -> list[Path]:
+    """Draws and writes a set into one folder; a figure that fails is told, and the others go on.
+
+    Args:
+        figures: File name -> what draws the figure.
+        folder: Where to; made if it is not there.
+        dpi: Pixels an inch.
+
+    Returns:
+        The files that are there.
+    """
+    paths = []
+    for name, draw in figures.items():
+        with attempt(name):
+            paths.append(save_figure(draw(), Path(folder) / name, dpi))
+    return paths

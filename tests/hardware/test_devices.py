@@ -250,7 +250,7 @@ def test_a_logs_settings_come_back_whole() -> None:
     assert from_text(text(settings), RealtimeSettings) == settings
     unresolved = text(settings).replace("port: /dev", "port: ${oc.env:HOME}/dev")
     assert from_text(unresolved, RealtimeSettings).hardware.actuator.port.startswith("${oc.env:HOME}")  # type: ignore[attr-defined]
-    with pytest.raises(ConfigError, match="not a YAML file"):
+    with pytest.raises(ConfigError, match="the file of settings cannot be read: it names a type"):
         from_text("a: !!python/object/apply:os.system ['true']", RealtimeSettings)
 
 

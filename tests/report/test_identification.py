@@ -21,13 +21,13 @@ def _outcome() -> Outcome:
 
 
 def test_bars_are_the_errors() -> None:
-    ax = identification_figures(_outcome(), 200.0, "arm")["models.png"].axes[0]
+    ax = identification_figures(_outcome(), 200.0, "arm")["models.png"]().axes[0]
     np.testing.assert_allclose([patch.get_width() for patch in ax.patches], [20.0, 10.0, 5.0])
     assert "5.00 mm, 2.50 %" in ax.texts[-1].get_text()
 
 
 def test_lines_break_where_samples_jump() -> None:
-    figure = identification_figures(_outcome(), 200.0, "arm")["prediction.png"]
+    figure = identification_figures(_outcome(), 200.0, "arm")["prediction.png"]()
     assert len(figure.axes) == 3
     drawn = np.asarray(figure.axes[0].lines[0].get_ydata(), dtype=float)
     assert len(drawn) == 21 and np.isnan(drawn).sum() == 1
@@ -35,7 +35,7 @@ def test_lines_break_where_samples_jump() -> None:
 
 def test_residuals_and_parameters() -> None:
     figures = identification_figures(_outcome(), 200.0, "arm")
-    bend = figures["residual.png"].axes[2]
+    bend = figures["residual.png"]().axes[2]
     np.testing.assert_allclose(np.asarray(bend.lines[0].get_ydata(), dtype=float), 5.0)
-    interval = figures["parameters.png"].axes[0].lines[0]
+    interval = figures["parameters.png"]().axes[0].lines[0]
     np.testing.assert_allclose(np.asarray(interval.get_xdata(), dtype=float), [1.0, 3.0])

@@ -95,11 +95,12 @@ def test_sensor_errors_per_sensor(log: KinematicLog, abscissae: Tensor) -> None:
 def test_every_figure_is_written(
     tmp_path: Path, log: KinematicLog, pi: Tensor, abscissae: Tensor, arm: PCCBackbone
 ) -> None:
-    figures = kinematic.kinematic_figures(log, pi, abscissae, arm)
+    draw = kinematic.kinematic_figures(log, pi, abscissae, arm)
+    figures = {name: make() for name, make in draw.items()}
     labelled = [ax for figure in figures.values() for ax in figure.axes if ax.get_ylabel()]
     assert len(labelled) == 6 and all(ax.get_ylabel().endswith(")") for ax in labelled)  # a unit on each
     assert all(figure.axes[-1].get_xlabel() == "time (s)" for figure in figures.values())
-    paths = save_figures(figures, tmp_path, dpi=40)
+    paths = save_figures(draw, tmp_path, dpi=40)
     assert [p.name for p in paths] == ["figure_7.png", "figure_8.png", "figure_9.png"]
 
 

@@ -11,6 +11,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
 
@@ -19,6 +20,7 @@ from apcc_torch.experiments import kinematic, redrawing
 from apcc_torch.report import __main__ as program
 from apcc_torch.report import animation, run_table
 from apcc_torch.report.backbone_drawing import Snapshots
+from apcc_torch.simulation.kinematic import KinematicLog
 
 WriteRun = Callable[..., Path]
 
@@ -131,6 +133,35 @@ def test_a_run_that_cannot_be_drawn_is_told_and_the_others_go_on(
     assert len(told) == 1 and told[0].startswith("kinematic/0 is shown without figures") and named in told[0]
     data = page_data(runs / "report.html")
     assert set(data["pictures"]) == {"1"}  # type: ignore[call-overload]
+
+
+@pytest.mark.parametrize(
+    ("arrays", "named"),
+    [({"time": np.zeros(3)}, "has no"), (dict.fromkeys((*KinematicLog._fields, "pi"), np.zeros(())), "tuple index")],
+)
+def test_arrays_that_do_not_fit_are_told(
+    runs: Path, capsys: pytest.CaptureFixture[str], arrays: dict[str, np.ndarray], named: str
+) -> None:
+    folder = runs / "kinematic" / "0"
+    np.savez(folder / "trajectory.npz", **arrays)  # type: ignore[arg-type]
+    program.main([str(folder)])
+    (told,) = capsys.readouterr().err.splitlines()
+    assert told.startswith("0 is shown without figures: ") and named in told
+
+
+def test_a_figure_that_fails_is_told_with_its_run_and_the_others_are_shown(
+    runs: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fails(*_: object, **__: object) -> None:
+        raise RuntimeError("no room")
+
+    monkeypatch.setattr("apcc_torch.report.kinematic.parameter_figure", fails)
+    monkeypatch.setattr(kinematic, "save_animation", fails)
+    program.main([str(runs / "kinematic" / "0")])
+    told = capsys.readouterr().err.splitlines()
+    assert told == ["0: figure_8.png is not drawn: no room", "0: the film is not drawn: no room"]
+    shown = page_data(runs / "kinematic" / "0" / "report.html")["pictures"]
+    assert [picture["name"] for picture in shown["0"]] == ["figure_7", "figure_9"]  # type: ignore[call-overload, index]
 
 
 def test_failed_runs_are_listed_even_if_none_is_complete(

@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from apcc_torch.plain_text import for_spreadsheet
 from apcc_torch.report import run_table
 from apcc_torch.report.run_record import Run
 from apcc_torch.report.run_table import differing, tidy, write_csv, write_parquet
@@ -49,7 +50,7 @@ def same(a: object, b: object) -> bool:
     return both_nan or a == b
 
 
-texts = st.text(st.characters(codec="utf-8", exclude_characters="\r\0"))
+texts = st.text() | st.text("=+-@0.\n\t\r\x1b\udcff a")
 row_lists = st.lists(st.tuples(numbers, texts, st.integers(-(2**62), 2**62)), min_size=1, max_size=5)
 
 
@@ -67,24 +68,46 @@ def test_files_read_back_as_they_were(
     )
     assert len(read) == len(rows)
     for (value, name, n), row in zip(rows, read, strict=True):
-        assert row["run"] == name and int(row["n"]) == n
+        # Plain text is itself; what would act on a terminal or in a spreadsheet is written out.
+        assert row["run"] == for_spreadsheet(run_table.line(name)) and int(row["n"]) == n
+        assert not set(row["run"]) & set("\x1b\r\n\t") and (row["run"] == name or not name.isidentifier())
+        assert row["run"][:1] not in ("=", "@", "+", "-") or math.isfinite(float(row["run"]))
         assert value is None or same(float(row["m"]), value)
         assert value is not None or row.get("m", "") == ""
     parquet = pytest.importorskip("pyarrow.parquet", reason="pyarrow is not installed")
     back = parquet.read_table(write_parquet(table, folder / "runs.parquet")).to_pydict()
-    assert back["run"] == [name for _, name, _ in rows] and back["n"] == [n for _, _, n in rows]
+    assert back["run"] == [row["run"] for row in read] and back["n"] == [n for _, _, n in rows]
     assert "m" not in back or all(same(a, b) for a, (b, _, _) in zip(back["m"], rows, strict=True))
 
 
 def test_parquet_has_one_type_a_column(tmp_path: Path) -> None:
     parquet = pytest.importorskip("pyarrow.parquet", reason="pyarrow is not installed")
-    schema = parquet.read_table(write_parquet(tidy(RUNS), tmp_path / "runs.parquet")).schema
+    folder = tmp_path / "a:b\udcff\n'"
+    schema = parquet.read_schema(write_parquet(tidy(RUNS), folder / "runs.parquet").open("rb"))
     assert {name: str(schema.field(name).type) for name in ("n", "k.gain", "k.mode", "e_mm", "wall_s")} == {
         **{"n": "int64", "k.gain": "double", "k.mode": "string", "e_mm": "double", "wall_s": "double"},
     }
-    assert [path.name for path in tmp_path.iterdir()] == ["runs.parquet"]
+    assert [path.name for path in folder.iterdir()] == ["runs.parquet"]
 
 
 def test_pyarrow_is_looked_for(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(run_table, "pyarrow", None)
     assert not run_table.has_parquet()
+
+
+def test_values_that_are_called_like_other_columns_are_told_apart() -> None:
+    runs = [Run("0", "complete", {"rows": 1}, {"rows": "1"}, {"run": 1.0, "note": 2.0, "rows": 3.0, "-x": 4.0})]
+    table = tidy(runs)
+    names = [column.name for column in table.columns]
+    assert names == ["run", "status", "rows", "run (metric)", "note (metric)", "rows (metric)", "-x", "wall_s", "note"]
+    assert table.column("run").cells == ["0"] and table.column("note (metric)").cells == [2.0]
+
+
+@pytest.mark.parametrize("value", [2**63, -(10**400), 2**64 - 1])
+def test_a_whole_number_that_no_table_holds_is_a_text(tmp_path: Path, value: int) -> None:
+    runs = [Run(str(k), "complete", {"seed": seed}, {"seed": ""}) for k, seed in enumerate((value, 1.5))]
+    table = tidy(runs)
+    assert table.column("seed").cells == [str(value), "1.5"] and not table.column("seed").number
+    assert str(value) in write_csv(table, tmp_path / "runs.csv").read_text()
+    if run_table.has_parquet():
+        write_parquet(table, tmp_path / "runs.parquet")

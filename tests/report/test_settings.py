@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from apcc_torch.errors import DataError
 from apcc_torch.report import settings
 
 names = st.text("abcxyz_", min_size=1, max_size=4)
@@ -102,11 +99,3 @@ def test_what_follows_from_the_experiments_name_is_not_swept_beside_it() -> None
     # A choice of the group says the same, once.
     assert settings.swept_keys(runs, [{"experiment": "a"}, {"experiment": "b"}]) == ["experiment"]
     assert settings.swept_keys([*runs, {"experiment.name": "a", "rate": 3}], [{}] * 3) == ["experiment.name", "rate"]
-
-
-def test_a_file_that_is_not_yaml_is_refused(tmp_path: Path) -> None:
-    (tmp_path / "config.yaml").write_text("a: [1")
-    with pytest.raises(DataError, match=r"config\.yaml cannot be read"):
-        settings.load_yaml(tmp_path / "config.yaml")
-    with pytest.raises(DataError, match=r"none\.yaml cannot be read"):
-        settings.load_yaml(tmp_path / "none.yaml")

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from matplotlib import rcParams
 from matplotlib.colors import to_rgb
+from matplotlib.figure import Figure
 from PIL import Image
 
 from apcc_torch.report import style
@@ -27,8 +28,40 @@ def test_the_suffix_names_the_format(tmp_path: Path, suffix: str) -> None:
 
 
 def test_save_figures_names_every_file(tmp_path: Path) -> None:
-    paths = style.save_figures({"a.png": style.new_figure(1, 1), "b.png": style.new_figure(1, 1)}, tmp_path, dpi=20)
+    drawings = dict.fromkeys(("a.png", "b.png"), lambda: style.new_figure(1, 1))
+    paths = style.save_figures(drawings, tmp_path, dpi=20)
     assert [p.name for p in paths] == ["a.png", "b.png"] and all(p.is_file() for p in paths)
+
+
+def _drawn() -> Figure:
+    figure = style.new_figure(3.0, 2.0)
+    style.dress(figure.subplots(), "x (m)", "y (m)", "title")
+    return figure
+
+
+def test_figures_have_the_one_look_whatever_a_users_matplotlibrc_says(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (ours,) = style.save_figures({"a.png": _drawn}, tmp_path / "ours")
+    others = {"text.usetex": True, "font.family": ["no such font"], "savefig.bbox": "tight", "axes.grid": True}
+    for name, value in others.items():
+        monkeypatch.setitem(rcParams, name, value)
+    (theirs,) = style.save_figures({"a.png": _drawn}, tmp_path / "theirs")
+    assert theirs.read_bytes() == ours.read_bytes() and rcParams["text.usetex"]
+
+
+def test_a_figure_that_fails_is_told_and_the_others_go_on(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    def fails() -> Figure:
+        raise RuntimeError("no such thing\nmore about it")
+
+    drawings = {"a.png": fails, "b.png": _drawn}
+    assert [path.name for path in style.save_figures(drawings, tmp_path)] == ["b.png"]
+    assert caplog.messages == ["a.png is not drawn: no such thing"]
+    (tmp_path / "taken").write_text("")
+    told: list[str] = []
+    with style.failures_told(told.append):
+        assert style.save_figures({"b.png": _drawn}, tmp_path / "taken") == []
+    assert len(told) == 1 and told[0].startswith("b.png is not drawn: ") and len(caplog.messages) == 1
 
 
 def test_faded_mixes_with_white() -> None:

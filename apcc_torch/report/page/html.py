@@ -10,6 +10,7 @@ from html import escape
 from importlib import resources
 from string import Template
 
+from apcc_torch.plain_text import for_terminal
 from apcc_torch.report.pictures import Picture
 from apcc_torch.report.ranking import HIGHER_IS_BETTER, headline_columns
 from apcc_torch.report.run_table import KEY, METRIC, Cell, Column, RunTable, differing
@@ -46,7 +47,10 @@ class Page:
         template = Template(_asset("page.html"))
         script = "\n".join(_asset(f"{name}.js") for name in SCRIPTS)
         return template.substitute(
-            title=escape(self.title), style=_asset("style.css"), script=script, data=inside_script(self.data())
+            title=escape(for_terminal(self.title)),
+            style=_asset("style.css"),
+            script=script,
+            data=inside_script(self.data()),
         )
 
     def data(self) -> dict[str, object]:
@@ -97,6 +101,6 @@ def _number(cell: Cell, rounded: bool) -> Cell:
 
 
 def inside_script(data: Mapping[str, object]) -> str:
-    """JSON that cannot end the script element it stands in."""
-    text = json.dumps(data, separators=(",", ":"), ensure_ascii=False, allow_nan=False)
+    """JSON that cannot end the script element it stands in, of any text, and so of half a pair too."""
+    text = json.dumps(data, separators=(",", ":"), allow_nan=False)
     return text.replace("<", "\\u003c")
