@@ -39,7 +39,8 @@ from apcc_torch.model.mount import MountedArm, RigidMount
 from apcc_torch.model.static_body import StaticBody
 from apcc_torch.part import Part
 from apcc_torch.simulation.dynamic import ClosedLoop
-from apcc_torch.simulation.kinematic import ExactLoop, FeedbackLoop
+from apcc_torch.simulation.exact import ExactLoop
+from apcc_torch.simulation.kinematic import FeedbackLoop
 from apcc_torch.simulation.plant import Plant
 from apcc_torch.simulation.sensors import PoseSensors
 from parts import (

@@ -31,7 +31,8 @@ from apcc_torch.model.kinematic_model import KinematicModel
 from apcc_torch.model.static_body import StaticBody
 from apcc_torch.model.tendons import TendonRouting
 from apcc_torch.simulation.dynamic import ClosedLoop
-from apcc_torch.simulation.kinematic import ExactLoop, ExactState, FeedbackLoop, FeedbackState
+from apcc_torch.simulation.exact import ExactLoop, ExactState
+from apcc_torch.simulation.kinematic import FeedbackLoop, FeedbackState
 from apcc_torch.simulation.plant import Plant
 from apcc_torch.simulation.sensors import Draws, PoseSensors
 
@@ -246,7 +247,8 @@ def exact(of: ExactLoop) -> Any:
 
 
 def measured(of: FeedbackLoop) -> Any:
-    later = of(FeedbackState(q(), of.controller.initial_state(q(), lengths())), number(0.3))[0]
+    now = FeedbackState(q(), of.controller.initial_state(q(), lengths()), of.sensors.initial_state(of.poses(q())))
+    later = of(now, number(0.3), Draws(None, None))[0]
     return later.q, later.controller.pi_hat
 
 

@@ -203,6 +203,7 @@ class SavitzkyGolay(Part):
         age = torch.arange(self.length - 1, -1, -1)
         newest = age.to(window.device) < window.unsqueeze(-1) if isinstance(window, Tensor) else None
         self.register_buffer("newest", newest, persistent=False)
+        self.__dict__.setdefault("trailing_dimensions", {})["newest"] = 1  # it differs by row as the window does
         table = None
         if self.period is not None:
             # Row m of each table: coefficients while the buffer holds m samples.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -20,8 +21,9 @@ from apcc_torch.report.animation import save_animation
 from apcc_torch.report.backbone_drawing import Snapshots
 from apcc_torch.report.kinematic import kinematic_figures, select_row, snapshots
 from apcc_torch.report.style import attempt, save_figures
-from apcc_torch.simulation.kinematic import KinematicLog, simulate_exact, simulate_feedback
-from apcc_torch.simulation.metrics import backbone_error
+from apcc_torch.simulation.exact import simulate_exact
+from apcc_torch.simulation.kinematic import KinematicLog, simulate_feedback
+from apcc_torch.simulation.metrics import VelocityQuality, backbone_error, velocity_quality
 from apcc_torch.simulation.progress import Progress
 
 SHAPE_SAMPLES = 200
@@ -46,6 +48,7 @@ def kinematic_metrics(log: KinematicLog, backbone: KinematicModel, pi: Tensor) -
     e = (log.x_d - log.x).norm(dim=-1)
     psi = elongation_cost(log.q_bar, coordinates=backbone.coordinates)
     gap = (log.pi_hat[-1] - pi).abs()
+    velocity = _velocity(log, backbone)
     # A row counts as diverged where it is not finite or its tip is farther off than the arm is long.
     diverged = ~(e.amax(0) < pi.sum()) | ~torch.isfinite(log.q_bar).all(-1).all(0)
     metrics = {
@@ -57,6 +60,8 @@ def kinematic_metrics(log: KinematicLog, backbone: KinematicModel, pi: Tensor) -
         "shape_error_min_mm": 1e3 * shape.min(),
         "shape_error_end_mm": 1e3 * shape_end.max(),
         "shape_error_last5s_max_mm": 1e3 * shape[last[::stride]].max(),
+        "velocity_lag_ms": 1e3 * velocity.lag.mean(),
+        "velocity_noise_mmps": 1e3 * velocity.noise.mean(),
         "psi_mean_cm": 1e2 * psi.mean(),
         "psi_max_cm": 1e2 * psi.max(),
         "sensor_error_linear_mean_mm": 1e3 * log.linear_error.mean(),
@@ -67,6 +72,16 @@ def kinematic_metrics(log: KinematicLog, backbone: KinematicModel, pi: Tensor) -
         "diverged_rows": diverged.sum(),
     }
     return {name: float(value) for name, value in metrics.items()}
+
+
+def _velocity(log: KinematicLog, backbone: KinematicModel) -> VelocityQuality:
+    """How late and how noisy the tip's velocity is as the law of Eq. (15) sees it, over the run's second half."""
+    half = slice(log.time.shape[0] // 2, None)
+    dt = float(log.time[-1] - log.time[0]) / max(log.time.shape[0] - 1, 1)
+    q_bar, pi_hat = log.q_bar[half], log.pi_hat[half]
+    J_hat = backbone.tip_jacobian(q_bar, pi_hat)
+    seen = (J_hat @ log.qdot_bar[half].unsqueeze(-1)).squeeze(-1)
+    return velocity_quality(seen, torch.gradient(log.x[half], spacing=dt, dim=0)[0], dt)
 
 
 class Outcome(NamedTuple):
@@ -93,9 +108,17 @@ def simulate(config: SimulateSettings, points: int | None = None, progress: Prog
     build = Builder(config, points)
     controller = build.controller()
     pi = build.rest_lengths()
-    loop = {"exact": simulate_exact, "feedback": simulate_feedback}[config.state]
+    run = (
+        simulate_exact
+        if config.state == "exact"
+        else partial(
+            simulate_feedback,
+            sensors=build.pose_sensors(),
+            generator=torch.Generator(build.device).manual_seed(config.seed),
+        )
+    )
     with torch.inference_mode():
-        log = loop(
+        log = run(
             controller,
             pi,
             _starts(config, build),

@@ -250,8 +250,9 @@ class KinematicModel(Part, ABC):
         """`body_parameter_jacobian` where the points are known; unchecked, q, L0 and points of one leading shape."""
         rest = torch.gather(L0, -1, points.section)
         # Eq. (25) differentiated: dX_tilde/dpi_m is -1/pi_j before section j, -X_tilde/pi_j in it; 0 once clamped.
-        # The arm's end is the one `decouple` compares with, to the last bit: the last sensor often sits exactly there.
-        inside = (L0.cumsum(-1)[..., -1:] >= X).to(q.dtype) / rest
+        # The last sensor often sits at the arm's very end, where bounds put it up to rounding: that counts as inside.
+        end = L0.cumsum(-1)[..., -1:] * (1.0 + 64.0 * torch.finfo(q.dtype).eps)
+        inside = (end >= X).to(q.dtype) / rest
         slide = -points.fraction * inside.unsqueeze(-1)
         strain = self.strain(q, L0, points)
         return body_jacobian[..., self.coordinates.elongations] + strain.unsqueeze(-1) * slide.unsqueeze(-2)

@@ -12,7 +12,7 @@ from apcc_torch.composition.run_settings import SimulateSettings
 from apcc_torch.settings import about_of, keys
 
 METRIC_UNITS = {"mm": "mm", "cm": "cm", "m": "m", "s": "s", "rad": "rad", "kg": "kg", "g": "g", "hz": "Hz"} | {
-    "n": "N", "nm2": "N m²", "nspm": "N s/m"
+    "ms": "ms", "mmps": "mm/s", "n": "N", "nm2": "N m²", "nspm": "N s/m"
 }  # fmt: skip
 """The last part of a metric's name -> its unit."""
 

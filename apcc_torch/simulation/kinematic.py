@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
 
-from apcc_torch.control.adaptation import AdaptiveLaw
 from apcc_torch.control.bounds import scaled_within
 from apcc_torch.control.controller import APCCController
 from apcc_torch.control.step_io import ControllerState, Measurement
 from apcc_torch.control.trajectory import Trajectory
-from apcc_torch.errors import ConfigError, ValueRangeError
+from apcc_torch.errors import ValueRangeError
 from apcc_torch.linalg import damped_pseudo_inverse
 from apcc_torch.model.abscissae import decouple
 from apcc_torch.model.kinematic_model import KinematicModel
@@ -21,6 +21,7 @@ from apcc_torch.native.compiled import compiled
 from apcc_torch.part import Part, hold_rows, refuse_parameter, untrained
 from apcc_torch.simulation.progress import Progress, quiet
 from apcc_torch.simulation.rollout import rollout
+from apcc_torch.simulation.sensors import Draws, PoseSensors, SensorState
 
 
 class KinematicLog(NamedTuple):
@@ -29,7 +30,7 @@ class KinematicLog(NamedTuple):
     time: (T,) s.
     x_d: (T, ..., 3) desired, and x: (T, ..., 3) true end-effector position, m.
     q_true: (T, ..., n) true configuration.
-    q_bar: (T, ..., n) inferred configuration.
+    q_bar: (T, ..., n) inferred configuration, and qdot_bar: (T, ..., n) its filtered velocity.
     pi_hat: (T, ..., n_b) estimates, m.
     angular_error: (T, ..., k) rad, and linear_error: (T, ..., k) m, of algorithm 2.
     status: (T, ...) `FeedbackStatus`.
@@ -40,6 +41,7 @@ class KinematicLog(NamedTuple):
     x: Tensor
     q_true: Tensor
     q_bar: Tensor
+    qdot_bar: Tensor
     pi_hat: Tensor
     angular_error: Tensor
     linear_error: Tensor
@@ -80,93 +82,12 @@ def start_configuration(
     return q
 
 
-class ExactState(NamedTuple):
-    """q (..., n) and pi_hat (..., n_b), m, of the proof's case."""
-
-    q: Tensor
-    pi_hat: Tensor
-
-
-class ExactLoop(Part):
-    """One RK4 step of Eqs. (13)-(15), q being known.
-
-    Args:
-        controller: Supplies the inverse kinematics and the law of Eq. (15); its estimator and filter are not used.
-        pi: (..., n_b) true rest lengths, m.
-        trajectory: What to follow.
-        dt: Step, s.
-
-    Raises:
-        ConfigError: The controller has other laws.
-    """
-
-    pi: Tensor
-
-    def __init__(self, controller: APCCController, pi: Tensor, trajectory: Trajectory, dt: float) -> None:
-        super().__init__()
-        self.controller = controller
-        self.trajectory = trajectory
-        self.dt = dt
-        self.law = _law_of(controller)
-        hold_rows(self, pi=(pi, 1))
-
-    def start(self, pi_hat: Tensor) -> ExactState:
-        """On the trajectory's first point; pi_hat (..., n_b) m."""
-        return ExactState(_on_target(self.controller, self.pi, self.trajectory), pi_hat)
-
-    def blank(self) -> tuple[ExactState, Tensor]:
-        """Arguments of the form that one row has: what a compiler needs to see."""
-        q, pi_hat, zero = _blank(self.controller, self.pi)
-        return ExactState(q, pi_hat), zero
-
-    def slope(self, q: Tensor, pi_hat: Tensor, time: Tensor) -> tuple[Tensor, Tensor]:
-        """qdot and pi_hat_dot at a time."""
-        controller, backbone = self.controller, self.controller.backbone
-        target = self.trajectory(time)
-        e = target.x_d - backbone.tip(q, self.pi)
-        J_hat = backbone.tip_jacobian(q, pi_hat)
-        qdot = controller.inverse_kinematics(J_hat, e, target.xdot_d.expand_as(e), q)
-        if self.law is None:
-            return qdot, torch.zeros_like(pi_hat)
-        return qdot, self.law.velocity(backbone.regressor(q, qdot)[0], e)
-
-    def forward(self, now: ExactState, time: Tensor) -> tuple[ExactState, tuple[Tensor, ...]]:
-        """The state one step later, and the row of the log: `KinematicLog`'s fields without the time."""
-        q, pi_hat, dt = now.q, now.pi_hat, self.dt
-        x = self.controller.backbone.tip(q, self.pi)
-        none = torch.zeros_like(self.controller.feedback.abscissae.to(q)).expand(*q.shape[:-1], -1)
-        status = torch.zeros_like(q[..., 0], dtype=torch.int64)
-        row = (self.trajectory(time).x_d.expand_as(x), x, q, q, pi_hat, none, none, status)
-        k1 = self.slope(q, pi_hat, time)
-        k2 = self.slope(q + 0.5 * dt * k1[0], pi_hat + 0.5 * dt * k1[1], time + 0.5 * dt)
-        k3 = self.slope(q + 0.5 * dt * k2[0], pi_hat + 0.5 * dt * k2[1], time + 0.5 * dt)
-        k4 = self.slope(q + dt * k3[0], pi_hat + dt * k3[1], time + dt)
-        later = (
-            v + dt / 6.0 * (a + 2.0 * b + 2.0 * c + d)
-            for v, a, b, c, d in zip((q, pi_hat), k1, k2, k3, k4, strict=True)
-        )
-        return ExactState(*later), row
-
-
-def _law_of(controller: APCCController) -> AdaptiveLaw | None:
-    """The law of Eq. (15); None for a controller that adapts nothing.
-
-    Raises:
-        ConfigError: It has other laws: they need sensors, and the proof's case has none.
-    """
-    if not controller.adaptive:
-        return None
-    laws = list(controller.laws)
-    if len(laws) == 1 and isinstance(laws[0], AdaptiveLaw):
-        return laws[0]
-    raise ConfigError("where q is known the law is Eq. (15) alone: residual=none, and an adaptation of it")
-
-
 class FeedbackState(NamedTuple):
-    """The true arm's q (..., n), and what the controller remembers."""
+    """The true arm's q (..., n), and what controller and sensors remember."""
 
     q: Tensor
     controller: ControllerState
+    sensors: SensorState
 
 
 class FeedbackLoop(Part):
@@ -177,90 +98,78 @@ class FeedbackLoop(Part):
         pi: (..., n_b) true rest lengths, m.
         trajectory: What to follow.
         dt: Period, s.
+        sensors: What the sensors make of the true poses; None for perfect ones.
     """
 
     pi: Tensor
     X_tilde: Tensor
     j: Tensor
 
-    def __init__(self, controller: APCCController, pi: Tensor, trajectory: Trajectory, dt: float) -> None:
+    def __init__(
+        self,
+        controller: APCCController,
+        pi: Tensor,
+        trajectory: Trajectory,
+        dt: float,
+        sensors: PoseSensors | None = None,
+    ) -> None:
         super().__init__()
         self.controller = controller
         self.trajectory = trajectory
         self.dt = dt
+        self.sensors = PoseSensors() if sensors is None else sensors
         refuse_parameter("pi", pi, "where the sensors are is made of it once; hand in a plain tensor")
         X_tilde, j = decouple(untrained(controller.feedback.abscissae).to(pi), pi)
         hold_rows(self, pi=(pi, 1), X_tilde=(X_tilde, 1), j=(j, 1))
 
+    def poses(self, q: Tensor) -> Tensor:
+        """True poses of the sensors (..., k, 4, 4)."""
+        return self.controller.backbone.pose(q, self.pi, self.X_tilde, self.j)
+
     def start(self, pi_hat: Tensor) -> FeedbackState:
         """On the trajectory's first point; pi_hat (..., n_b) m."""
-        q = _on_target(self.controller, self.pi, self.trajectory)
-        return FeedbackState(q, self.controller.initial_state(q, pi_hat))
+        q = on_target(self.controller, self.pi, self.trajectory)
+        state = self.controller.initial_state(q, pi_hat)
+        return FeedbackState(q, state, self.sensors.initial_state(self.poses(q)))
 
-    def blank(self) -> tuple[FeedbackState, Tensor]:
+    def blank(self) -> tuple[FeedbackState, Tensor, Draws]:
         """Arguments of the form that one row has: what a compiler needs to see."""
-        q, pi_hat, zero = _blank(self.controller, self.pi)
-        return FeedbackState(q, self.controller.initial_state(q, pi_hat)), zero
+        q, pi_hat, zero = blank_row(self.controller, self.pi)
+        T = torch.eye(4, dtype=q.dtype, device=q.device).expand(self.j.shape[-1], 4, 4)
+        now = FeedbackState(q, self.controller.initial_state(q, pi_hat), self.sensors.initial_state(T))
+        return now, zero, self.sensors.draw(T[(None,) * self.sensors.shared])
 
-    def forward(self, now: FeedbackState, time: Tensor) -> tuple[FeedbackState, tuple[Tensor, ...]]:
-        """The state one period later, and the row of the log: `KinematicLog`'s fields without the time."""
-        target = self.trajectory(time)
-        T = self.controller.backbone.pose(now.q, self.pi, self.X_tilde, self.j)
-        state, command = self.controller(now.controller, Measurement(T, time), target)
+    def forward(self, now: FeedbackState, time: Tensor, draws: Draws) -> tuple[FeedbackState, tuple[Tensor, ...]]:
+        """The state one period later, and the row of the log: `KinematicLog`'s fields without the time.
+
+        Args:
+            now: The loop.
+            time: () s.
+            draws: The chance in the sensors' reading.
+        """
+        target, ahead = self.trajectory(time), self.trajectory(time + self.dt)
+        # qdot is held for a period, so it carries the target's mean velocity over that period.
+        target = target._replace(xdot_d=(ahead.x_d - target.x_d) / self.dt)
+        sensors, seen, mask = self.sensors.read(now.sensors, self.poses(now.q), draws)
+        state, command = self.controller(now.controller, Measurement(seen, time, mask), target)
         feedback = command.feedback
-        x = target.x_d - command.e
+        x = self.controller.backbone.tip(now.q, self.pi)
+        q_bar, pi_hat = feedback.q_bar, now.controller.pi_hat
         errors = (feedback.angular_error, feedback.linear_error)
-        row = (target.x_d.expand_as(x), x, now.q, feedback.q_bar, now.controller.pi_hat, *errors, feedback.status)
-        return FeedbackState(now.q + command.qdot * self.dt, state), row
+        row = (target.x_d.expand_as(x), x, now.q, q_bar, state.qdot_bar, pi_hat, *errors, feedback.status)
+        return FeedbackState(now.q + command.qdot * self.dt, state, sensors), row
 
 
-def _blank(controller: APCCController, like: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+def blank_row(controller: APCCController, like: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """q, pi_hat and a time of one row."""
     zero = torch.zeros((), dtype=like.dtype, device=like.device)
     return zero.expand(controller.backbone.n), zero.expand(controller.backbone.n_sections) + 0.1, zero
 
 
-def _on_target(controller: APCCController, pi: Tensor, trajectory: Trajectory) -> Tensor:
+def on_target(controller: APCCController, pi: Tensor, trajectory: Trajectory) -> Tensor:
+    """A configuration of the true arm on the trajectory's first point."""
     start = torch.zeros((), dtype=pi.dtype, device=pi.device)
     return start_configuration(controller.backbone, pi, trajectory(start).x_d)
-
-
-def simulate_exact(
-    controller: APCCController,
-    pi: Tensor,
-    pi_hat: Tensor,
-    trajectory: Trajectory,
-    duration: float,
-    rate: float,
-    progress: Progress = quiet,
-    compile: str = "off",
-    checkpointed: bool = False,
-) -> KinematicLog:
-    """The proof's case: q is known, so the loop is the differential equation of Eqs. (13)-(15); RK4 at `rate`.
-
-    Args:
-        controller: Supplies the inverse kinematics and the law; its estimator and filter are not used.
-        pi: (..., n_b) true rest lengths, m.
-        pi_hat: (..., n_b) first estimates, m.
-        trajectory: What to follow.
-        duration: s.
-        rate: Steps a second, Hz.
-        progress: Wraps the step counter, for a progress bar.
-        compile: How a step is run, one of `native.compiled.MODES`; compiled code has no gradients.
-        checkpointed: See `rollout`.
-
-    Example:
-        >>> arm = Arm(lengths=[0.2, 0.25])
-        >>> controller = APCCController.for_arm(arm, residual=None)
-        >>> target = SetPoint(torch.tensor([0.05, 0.0, -0.44]).double())
-        >>> true, first = arm.rest_lengths(), 1.1 * arm.rest_lengths()
-        >>> log = simulate_exact(controller, true, first, target, duration=0.2, rate=100.0)
-        >>> log.q_true.shape, bool((log.x - log.x_d).norm(dim=-1).max() < 1e-3)
-        (torch.Size([21, 6]), True)
-    """
-    pi, pi_hat = torch.broadcast_tensors(pi, pi_hat)
-    loop = ExactLoop(controller, pi, trajectory, 1.0 / rate)
-    return _run(loop, loop.start(pi_hat), loop.blank(), round(duration * rate) + 1, progress, compile, checkpointed)
 
 
 def simulate_feedback(
@@ -273,6 +182,8 @@ def simulate_feedback(
     progress: Progress = quiet,
     compile: str = "off",
     checkpointed: bool = False,
+    sensors: PoseSensors | None = None,
+    generator: torch.Generator | None = None,
 ) -> KinematicLog:
     """Section V-A whole: sensors on the true arm, algorithm 2 and the law in the loop. Fig. 6 [Dalenberg].
 
@@ -288,6 +199,8 @@ def simulate_feedback(
         progress: Wraps the step counter, for a progress bar.
         compile: How a step is run, one of `native.compiled.MODES`; compiled code has no gradients.
         checkpointed: See `rollout`.
+        sensors: What the sensors make of the true poses; None for perfect ones.
+        generator: Source of the sensors' noise; None for torch's global one.
 
     Example:
         >>> arm = Arm(lengths=[0.2, 0.25])
@@ -299,25 +212,38 @@ def simulate_feedback(
         (torch.Size([51, 2]), True)
     """
     pi, pi_hat = torch.broadcast_tensors(pi, pi_hat)
-    loop = FeedbackLoop(controller, pi, trajectory, 1.0 / rate)
-    return _run(loop, loop.start(pi_hat), loop.blank(), round(duration * rate) + 1, progress, compile, checkpointed)
+    loop = FeedbackLoop(controller, pi, trajectory, 1.0 / rate, sensors)
+    _, zero, _ = example = loop.blank()
+    start = loop.start(pi_hat)
+    poses = start.sensors.queue[..., 0, :, :, :]
+    return run_loop(
+        loop,
+        start,
+        example,
+        lambda k: (zero + k * loop.dt, loop.sensors.draw(poses, generator)),
+        round(duration * rate) + 1,
+        progress,
+        compile,
+        checkpointed,
+    )
 
 
-def _run(
-    loop: ExactLoop | FeedbackLoop,
-    now: ExactState | FeedbackState,
-    blank: tuple[ExactState | FeedbackState, Tensor],
+def run_loop(
+    loop: Part,
+    now: Any,
+    example: tuple[Any, ...],
+    arguments: Callable[[int], tuple[Any, ...]],
     steps: int,
     progress: Progress,
     compile: str,
     checkpointed: bool,
 ) -> KinematicLog:
-    """All steps of a loop from a state; `blank` is the form of one row."""
-    step = compiled(loop, blank, compile, now.q.shape[:-1].numel())
+    """All steps of a loop from a state; `example` has the form of one row, `arguments` begin with the time."""
+    step = compiled(loop, example, compile, now.q.shape[:-1].numel())
 
-    def period(now: ExactState | FeedbackState, time: Tensor) -> tuple[ExactState | FeedbackState, tuple[Tensor, ...]]:
-        now, row = step(now, time)
-        return now, (time, *row)
+    def period(now: Any, *given: Any) -> tuple[Any, tuple[Tensor, ...]]:
+        now, row = step(now, *given)
+        return now, (given[0], *row)
 
-    _, fields = rollout(period, now, lambda k: (blank[1] + k * loop.dt,), steps, checkpointed, progress)
+    _, fields = rollout(period, now, arguments, steps, checkpointed, progress)
     return KinematicLog(*fields)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import torch
 from torch import Tensor
 
@@ -96,6 +98,41 @@ def mapping_error(model: KinematicModel, q_d: Tensor, pi_hat: Tensor, x_measured
         tensor(0.0050)
     """
     return (model.tip(q_d, pi_hat) - x_measured).norm(dim=-1)  # Eq. (53)
+
+
+class VelocityQuality(NamedTuple):
+    """What a measured velocity is worth: lag (...) s behind the true one, and noise (...) m/s, RMS of what is left."""
+
+    lag: Tensor
+    noise: Tensor
+
+
+def velocity_quality(seen: Tensor, true: Tensor, dt: float) -> VelocityQuality:
+    """Lag and noise of a velocity, from seen(t) = a true(t) - a lag d(true)/dt + noise by least squares.
+
+    The factor a takes up what a wrong model makes of a velocity: neither lag nor noise.
+
+    Args:
+        seen: (T, ..., 3) measured velocity, m/s.
+        true: (T, ..., 3) the true one.
+        dt: Step, s.
+
+    Example:
+        >>> time = 0.01 * torch.arange(400).double()
+        >>> true, late = (torch.stack([torch.sin(t), torch.cos(t), t], -1) for t in (time, time - 0.03))
+        >>> velocity_quality(late, true, 0.01).lag
+        tensor(0.0300, dtype=torch.float64)
+    """
+    check_tensor("seen", seen, (3,))
+    check_tensor("true", true, (3,))
+    check_same(seen=seen, true=true)
+    rate = torch.gradient(true, spacing=dt, dim=0)[0]
+    columns = torch.stack((true, rate), dim=-1).movedim(0, -3).flatten(-3, -2)  # (..., 3 T, 2)
+    b = seen.movedim(0, -2).flatten(-2).unsqueeze(-1)
+    fit = torch.linalg.lstsq(columns, b).solution
+    left = (b - columns @ fit).squeeze(-1)
+    factor, delayed = fit.squeeze(-1).unbind(-1)
+    return VelocityQuality(-delayed / factor, 3**0.5 * left.square().mean(-1).sqrt())
 
 
 def orientation_error(model: KinematicModel, q: Tensor, pi_hat: Tensor, abscissae: Tensor, rotation: Tensor) -> Tensor:

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import torch
 
+from apcc_torch.composition.stacking import stacked
 from apcc_torch.errors import ApccError
 from apcc_torch.experiments import kinematic
 from apcc_torch.model.backbone import PCCBackbone
@@ -63,6 +64,33 @@ def test_the_same_seed_gives_the_same_numbers(tmp_path: Path) -> None:
         assert starts.shape == (2, 3) and np.abs(starts - 1).max() <= 0.15
 
 
+def test_the_window_the_noise_and_the_gain_count() -> None:
+    """Short, slow and noisy: what the law makes of the velocity depends on N and on Gamma."""
+    base = ("experiment.duration=4", "controller.rate=50", "progress=false", "sensors.angular_noise=0.008726646")
+    changes = ["velocity_filter.window=5", "velocity_filter.window=15", "velocity_filter.window=45"]
+    changes.append("adaptation.gain_scale=0.1")
+    configs = [changed("kinematic", *base, change) for change in changes]
+    outcome = kinematic.simulate(stacked(configs), len(configs))
+    found = [kinematic.metrics(kinematic.one_of(outcome, config, p)) for p, config in enumerate(configs)]
+    lengths = [tuple(row[f"pi_hat_{i}_end_m"] for i in (1, 2, 3)) for row in found]
+    assert len(set(lengths)) == 4
+    noise = [row["velocity_noise_mmps"] for row in found[:3]]
+    assert noise[0] > 2.0 * noise[1] > 2.0 * noise[2] > 0.0
+
+
+def test_rounding_is_not_amplified() -> None:
+    """Alone, beside others, and moved by 1e-12: the same to 1e-9."""
+    base = ("experiment.duration=2", "controller.rate=100", "progress=false")
+    moved = ("experiment.r_0=[1e-12,0.0,-0.5]", "controller.K=1.000000000001", "controller.null_gain=1.000000000001")
+    configs = [changed("kinematic", *base, *(() if not change else (change,))) for change in ("", *moved)]
+    outcome = kinematic.simulate(stacked(configs), len(configs))
+    alone = kinematic.metrics(kinematic.simulate(configs[0]))
+    for p, config in enumerate(configs):
+        beside = kinematic.metrics(kinematic.one_of(outcome, config, p))
+        assert beside == pytest.approx(alone, rel=1e-9, abs=1e-9)
+    assert float(outcome.log.pi_hat[-1].sum(-1).min()) < 0.6 + 1e-9, "the bound that rounding decides is reached"
+
+
 def test_perfect_knowledge_leaves_no_shape_error(tmp_path: Path) -> None:
     metrics = run(
         tmp_path, "experiment.first_estimate=1.0", "controller.adaptive=false", "feedback.linear_threshold=1e-9"
@@ -82,7 +110,7 @@ def test_metrics_by_hand() -> None:
     errors = torch.tensor([0.002, 0.001], dtype=torch.float64).expand(3, 2, 2)
     pi_hat = (PI + torch.tensor([0.0, 0.003, -0.005], dtype=torch.float64)).expand(3, 2, 3)
     time, status = torch.arange(3, dtype=torch.float64), torch.zeros(3, 2, dtype=torch.int64)
-    log = KinematicLog(time, x_d, x, zero, q_bar, pi_hat, errors, errors, status)
+    log = KinematicLog(time, x_d, x, zero, q_bar, zero, pi_hat, errors, errors, status)
     metrics = kinematic.kinematic_metrics(log, backbone, PI)
     assert metrics["end_effector_error_end_mm"] == metrics["end_effector_error_last5s_max_mm"] == pytest.approx(4.0)
     assert metrics["end_effector_error_mean_mm"] == pytest.approx(4.0 / 6)

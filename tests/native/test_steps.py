@@ -25,8 +25,9 @@ from apcc_torch.model.tendons import rack_routing
 from apcc_torch.native.compiled import compiled
 from apcc_torch.native.function import NativeFunction
 from apcc_torch.native.structure import flattened
-from apcc_torch.simulation import kinematic
 from apcc_torch.simulation.dynamic import ClosedLoop
+from apcc_torch.simulation.exact import simulate_exact
+from apcc_torch.simulation.kinematic import simulate_feedback
 from apcc_torch.simulation.plant import Plant
 from apcc_torch.simulation.sensors import PoseSensors
 from laws import generator, normal
@@ -182,7 +183,7 @@ def test_forward_dynamics(dtype: torch.dtype) -> None:
 @pytest.mark.parametrize("loop", ["exact", "feedback"])
 def test_section_v_a(loop: str) -> None:
     c = controller(laws=AdaptiveLaw(3, 1.0), bounds=None, velocity="commanded")
-    run = {"exact": kinematic.simulate_exact, "feedback": kinematic.simulate_feedback}[loop]
+    run = {"exact": simulate_exact, "feedback": simulate_feedback}[loop]
     target = SetPoint(torch.tensor([0.05, 0.1, -0.55], dtype=D))
     with torch.no_grad():
         arguments = (c, PI, PI_HAT.expand(3, 3), target, 0.1, 50.0)

@@ -46,7 +46,9 @@ def log(arm: PCCBackbone, pi: Tensor) -> KinematicLog:
     q_bar = q_true + 0.05 * (1.0 - share)
     x = arm.tip(q_true, pi)
     error = (1.0 - share) * torch.tensor([0.01, 0.02, 0.03], dtype=torch.float64)
-    return KinematicLog(time, x + 0.01 * share, x, q_true, q_bar, pi_hat, error, 2 * error, torch.zeros(41).long())
+    rate = torch.gradient(q_bar, spacing=(time,), dim=0)[0]
+    x_d, status = x + 0.01 * share, torch.zeros(41).long()
+    return KinematicLog(time, x_d, x, q_true, q_bar, rate, pi_hat, error, 2 * error, status)
 
 
 @pytest.fixture

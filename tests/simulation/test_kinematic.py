@@ -19,7 +19,8 @@ from apcc_torch.estimation.feedback import FeedbackStatus
 from apcc_torch.estimation.savitzky_golay import SavitzkyGolay
 from apcc_torch.estimation.state_feedback import StateFeedback
 from apcc_torch.model.backbone import PCCBackbone
-from apcc_torch.simulation.kinematic import simulate_exact, simulate_feedback, start_configuration
+from apcc_torch.simulation.exact import simulate_exact
+from apcc_torch.simulation.kinematic import simulate_feedback, start_configuration
 from apcc_torch.simulation.metrics import backbone_error
 from arms import HANGING_BASE, PI, PI_HAT
 from laws import generator, uniform

@@ -5,12 +5,20 @@ from __future__ import annotations
 import pytest
 import torch
 from hypothesis import given
+from hypothesis import strategies as st
+from torch import Tensor
 
 from apcc_torch.errors import DtypeError, ShapeError
 from apcc_torch.estimation.state_feedback import StateFeedback
 from apcc_torch.model.abscissae import decouple
 from apcc_torch.model.backbone import PCCBackbone
-from apcc_torch.simulation.metrics import backbone_error, mapping_error, orientation_error, shape_error
+from apcc_torch.simulation.metrics import (
+    backbone_error,
+    mapping_error,
+    orientation_error,
+    shape_error,
+    velocity_quality,
+)
 from arms import PI, PI_HAT, configurations, rest_lengths
 from laws import generator, normal, seeds
 
@@ -83,3 +91,16 @@ def test_orientation_error_is_what_algorithm_2_reports_of_poses() -> None:
     have = orientation_error(backbone, found.q_bar, PI_HAT, sensors, T[..., :3, :3])
     torch.testing.assert_close(have, found.angular_error, rtol=1e-3, atol=1e-6)
     assert float(have.max()) > 1e-3
+
+
+@given(seed=seeds, lag=st.floats(0.0, 0.05), factor=st.floats(0.5, 2.0))
+def test_lag_and_noise_are_found(seed: int, lag: float, factor: float) -> None:
+    time = 0.005 * torch.arange(2000, dtype=torch.float64)
+    noise = 1e-3 * torch.randn(2000, 3, generator=generator(seed), dtype=torch.float64)
+
+    def velocity(t: Tensor) -> Tensor:
+        return torch.stack((torch.sin(t), 0.5 * torch.cos(1.3 * t), torch.sin(0.7 * t + 1.0)), dim=-1)
+
+    found = velocity_quality(factor * velocity(time - lag) + noise, velocity(time), 0.005)
+    assert found.lag.item() == pytest.approx(lag, abs=1e-3)
+    assert found.noise.item() == pytest.approx(3**0.5 * 1e-3, rel=0.1, abs=factor * lag**2)

@@ -25,10 +25,11 @@ from apcc_torch.model.integrators import ArmState
 from apcc_torch.model.stiffness import scaled_stiffness
 from apcc_torch.model.tendons import TendonRouting, rack_routing
 from apcc_torch.simulation.dynamic import ClosedLoop, DynamicSettings, simulate_dynamic
-from apcc_torch.simulation.kinematic import FeedbackLoop, FeedbackState, simulate_exact, simulate_feedback
+from apcc_torch.simulation.exact import simulate_exact
+from apcc_torch.simulation.kinematic import FeedbackLoop, FeedbackState, simulate_feedback
 from apcc_torch.simulation.plant import Plant
 from apcc_torch.simulation.rollout import rollout
-from apcc_torch.simulation.sensors import PoseSensors
+from apcc_torch.simulation.sensors import Draws, PoseSensors
 from arms import HANGING_BASE, PI, PI_HAT
 from laws import bits, generator, leaves, uniform
 
@@ -74,9 +75,10 @@ def kinematic(given: dict[str, Tensor]) -> list[Tensor]:
     """The log of 20 periods of section V-A."""
     loop = FeedbackLoop(controller(given), given["pi"], PATH, PERIOD)
     q, pi_hat = given["q"], given["pi_hat"]
-    start = FeedbackState(q, loop.controller.initial_state(q, pi_hat))
+    seen = loop.sensors.initial_state(loop.poses(q))
+    start = FeedbackState(q, loop.controller.initial_state(q, pi_hat), seen)
     time = torch.zeros((), dtype=D)
-    return rollout(loop, start, lambda k: (time + k * PERIOD,), STEPS)[1]
+    return rollout(loop, start, lambda k: (time + k * PERIOD, Draws(None, None)), STEPS)[1]
 
 
 def plant(given: dict[str, Tensor], **settings: Any) -> Plant:
