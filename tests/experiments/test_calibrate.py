@@ -24,7 +24,8 @@ from composed import composed_realtime
 
 QUICK = (
     "hardware=lockstep", "hardware.world.step=0.01", "plant.settle=0.5", "loop.hold=0.0",
-    "calibration.frames=10", "loop.warm_up=3", "loop.fresh_frames=1", "experiment.duration=0.1", "view=false", "compile=off",
+    "calibration.frames=10", "loop.warm_up=3", "loop.fresh_frames=1", "experiment.duration=0.1", "view=false",
+    "compile=off",
 )  # fmt: skip
 
 
