@@ -12,14 +12,15 @@ from apcc_torch.composition.build import Builder
 from apcc_torch.composition.run_settings import SimulateSettings
 from apcc_torch.errors import ConfigError
 from apcc_torch.estimation.sensor_gate import SensorGate
-from apcc_torch.experiments.folder import RunFolder, progress_bar
+from apcc_torch.experiments.folder import RunFolder, progress_bar, warn
 from apcc_torch.recordings.recorded_arm import TRUNK_BASE, TRUNK_DIRECTION
 from apcc_torch.recordings.recording import detect_layout, load_recording
 from apcc_torch.recordings.replay import held_out_error, replay
-from apcc_torch.recordings.replay_log import replay_metrics
+from apcc_torch.recordings.replay_log import replay_metrics, sensor_errors
 from apcc_torch.recordings.rest_pose import calibrate
 from apcc_torch.report.replay import ReplayCurves, replay_figure
 from apcc_torch.report.style import save_figure, save_figures
+from apcc_torch.simulation.divergence import sentence
 
 
 def run(config: SimulateSettings, folder: Path) -> dict[str, float]:
@@ -77,12 +78,19 @@ def run(config: SimulateSettings, folder: Path) -> dict[str, float]:
             progress=progress_bar("held out", config.progress),
         )
         metrics = replay_metrics(log, recording.names, controller.feedback, held_out)
+        linear, length = sensor_errors(log, controller.feedback).linear, calibration.rest_lengths.sum()
+        causes = build.divergence().of_model(controller, length, log.time, log.q_bar, log.pi_hat, linear)
+        metrics["diverged_rows"] = float(causes[-1].count_nonzero())
+    said = sentence(log.time, causes)
+    warn(said)
     if config.figures:
         curves = ReplayCurves(
             log.time, log.q_bar, log.angular_error, log.linear_error, log.position_reason, log.orientation_reason
         )
         title, coordinates = Path(config.data).name, controller.backbone.coordinates
-        save_figures({"replay.png": replay_figure(curves, recording.names, title, coordinates)}, folder / "figures")
+        save_figures(
+            {"replay.png": replay_figure(curves, recording.names, title, coordinates)}, folder / "figures", warning=said
+        )
     calibration.save(folder / "calibration.json")
     metrics["wall_s"] = time.perf_counter() - started
     RunFolder(folder).write(metrics, log._asdict(), config.seed)

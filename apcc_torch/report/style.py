@@ -129,6 +129,15 @@ def save_figure(figure: Figure, path: Path | str, dpi: float = DPI) -> Path:
     return write_atomically(target, buffer.getvalue())
 
 
-def save_figures(figures: Mapping[str, Figure], folder: Path | str, dpi: float = DPI) -> list[Path]:
-    """`save_figure` for each {file name: figure} of a set, into one folder."""
-    return [save_figure(figure, Path(folder) / name, dpi) for name, figure in figures.items()]
+def save_figures(
+    figures: Mapping[str, Figure], folder: Path | str, dpi: float = DPI, warning: str | None = None
+) -> list[Path]:
+    """`save_figure` for each {file name: figure} of a set, into one folder, with a warning below each of them."""
+    return [save_figure(warned(figure, warning), Path(folder) / name, dpi) for name, figure in figures.items()]
+
+
+def warned(figure: Figure, warning: str | None) -> Figure:
+    """The figure with a warning below it: that what it shows diverged."""
+    if warning:
+        figure.supxlabel(warning, fontsize=LABEL, color=SENSOR, fontweight="bold", wrap=True)
+    return figure
