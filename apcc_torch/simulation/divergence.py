@@ -39,7 +39,7 @@ class Cause(IntFlag):
     SHAPE = 4
     """The model is farther from the arm than its length allows."""
     ELONGATION = 8
-    """A section, of the arm or of its model, has no length left, or more than it can stretch to."""
+    """A section, of the arm or of its model, is stretched or turned inside out."""
     LENGTHS = 16
     """A rest length stays at its bound while the model does not fit."""
     TIP = 32
@@ -62,7 +62,7 @@ class DivergenceSettings(Settings):
 
     shape: float = setting(0.25, "", OURS, "largest shape error over the arm's length", above=0)
     elongation: float = setting(
-        2.0, "", OURS, "largest elongation of a section over its rest length; at -1 it has no length left", above=0
+        1.5, "", OURS, "largest change of a section's length over its rest length; a moment below -1 heals", above=0
     )
     misfit: float = setting(
         0.05, "", OURS, "shape error over the arm's length that counts where a rest length rests at its bound", above=0
@@ -124,7 +124,7 @@ class Divergence(Part):
             e: (...) m, tip error; None: there is no target.
         """
         finite = torch.isfinite(stretches).all(-1)
-        causes = _where(Cause.ELONGATION, ((stretches <= -1.0) | (stretches > self.elongation)).any(-1))
+        causes = _where(Cause.ELONGATION, (stretches.abs() > self.elongation).any(-1))
         if gap is not None:
             finite = finite & torch.isfinite(gap)
             causes = causes | _where(Cause.SHAPE, gap > self.shape * length)

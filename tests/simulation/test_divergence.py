@@ -42,7 +42,7 @@ def ill(cause: Cause, rows: dict[str, Any], row: int) -> None:
     elif cause is Cause.SHAPE:
         rows["gap"][late, row] = 0.3
     elif cause is Cause.ELONGATION:
-        rows["stretches"][late, row, 2] = -1.1
+        rows["stretches"][late, row, 2] = -1.6
     elif cause is Cause.LENGTHS:
         rows["at_bound"][late, row], rows["gap"][late, row] = True, 0.05
     else:
@@ -101,13 +101,13 @@ def test_a_tip_that_never_arrives_is_lost(e: Tensor, lost: bool) -> None:
     assert not moment.any()
 
 
-def test_a_length_at_its_bound_and_a_section_without_length() -> None:
+def test_a_length_at_its_bound_and_a_section_inside_out() -> None:
     bounds = LengthBounds(torch.tensor([0.2, 0.25], dtype=D), lower=0.5, upper=1.5, reach="free")
     pi_hat = bounds(torch.tensor([[0.2, 0.25], [0.01, 0.25], [0.2, 0.9]], dtype=D))
     assert at_bound(pi_hat, bounds).tolist() == [False, True, True]
     assert at_bound(pi_hat, None).tolist() == [False] * 3
-    q = torch.tensor([0.1, 0.0, -0.2, 0.0, 0.1, 0.25], dtype=D)
-    assert stretch(q, torch.tensor([0.2, 0.25], dtype=D)).tolist() == [-1.0, 1.0]
+    q = torch.tensor([0.1, 0.0, -0.4, 0.0, 0.1, 0.25], dtype=D)
+    assert stretch(q, torch.tensor([0.2, 0.25], dtype=D)).tolist() == [-2.0, 1.0]
     assert int(JUDGE.now(LENGTH, stretch(q, torch.tensor([0.2, 0.25], dtype=D)))) == Cause.ELONGATION
 
 
