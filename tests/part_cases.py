@@ -314,7 +314,7 @@ CASES: dict[str, Case] = {
     "Divergence": Case(
         lambda **t: Divergence(**t),
         lambda of: of.now(number(0.5), some(4, 3), some(4).abs()),
-        other=lambda: {"shape": 0.5},
+        other=lambda: {"shape": 5.0},
     ),
     "PoseSensors": Case(
         lambda **t: PoseSensors(**t),

@@ -28,7 +28,7 @@ from apcc_torch.report.animation import save_animation
 from apcc_torch.report.backbone_drawing import Snapshots, marker_positions, spread_indices, stroboscopic_figure
 from apcc_torch.report.dynamics_parameters import dynamics_parameter_figure
 from apcc_torch.report.style import save_figures
-from apcc_torch.simulation.divergence import Divergence, at_bound, sentence, stretch
+from apcc_torch.simulation.divergence import Divergence, sentence
 from apcc_torch.simulation.dynamic import DynamicLog, DynamicSettings, simulate_dynamic
 from apcc_torch.simulation.metrics import backbone_error, mapping_error, orientation_error
 from apcc_torch.simulation.progress import Progress
@@ -176,28 +176,16 @@ def curves(log: DynamicLog, arms: Arms) -> figures.RunCurves:
         places = decouple(arms.sensors, arms.true_lengths)
         rotation = arms.true.pose(log.q_true, arms.true_lengths, *places)[..., :3, :3]
         angular = orientation_error(arms.model, log.q_bar, log.pi_hat, arms.sensors, rotation)
-        e = (log.x_d - log.x).norm(dim=-1)
-        stretches = (
-            stretch(log.q_true, arms.true_lengths),
-            stretch(log.q_bar, log.pi_hat, arms.model.coordinates),
-        )
         left_at = torch.where(log.diverged_at < 0, torch.inf, arms.period * log.diverged_at)
-        diverged = arms.divergence(
-            log.time,
-            arms.true_lengths.sum(-1),
-            torch.cat(stretches, dim=-1),
-            shape,
-            e,
-            at_bound(log.pi_hat, arms.bounds),
-            left_at,
-        )
+        judged = (shape, arms.true_lengths, arms.true, arms.model, arms.bounds, left_at)
+        diverged = arms.divergence.of_arm(log, *judged)
     return figures.RunCurves(
         time=log.time,
         shape_error=shape,
         psi=elongation_cost(log.q_bar, coordinates=arms.model.coordinates),
         angular=angular,
         linear=log.linear_error,
-        e=e,
+        e=(log.x_d - log.x).norm(dim=-1),
         pi_hat=log.pi_hat,
         mapping_error=mapped,
         diverged=diverged,
@@ -315,10 +303,9 @@ def run(config: SimulateSettings, folder: Path) -> dict[str, float]:
     started = time.perf_counter()
     name = _name(config)
     outcome = simulate(config, label=f"{config.experiment.name}, {name}")
-    values = metrics(outcome)
-    if values["diverged_rows"]:
-        c = curves(thinned(outcome.log), outcome.arms)
-        warn(sentence(c.time, c.diverged))
+    c = curves(thinned(outcome.log), outcome.arms)
+    values = dynamic_metrics(c) | estimate_metrics(outcome)
+    warn(sentence(c.time, c.diverged))
     if config.figures:
         draw(outcome, folder / "figures", name)
     values["wall_s"] = time.perf_counter() - started

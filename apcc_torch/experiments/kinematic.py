@@ -21,7 +21,7 @@ from apcc_torch.report.animation import save_animation
 from apcc_torch.report.backbone_drawing import Snapshots
 from apcc_torch.report.kinematic import kinematic_figures, select_row, snapshots
 from apcc_torch.report.style import save_figures
-from apcc_torch.simulation.divergence import Divergence, at_bound, sentence, stretch
+from apcc_torch.simulation.divergence import Divergence, sentence
 from apcc_torch.simulation.kinematic import KinematicLog, simulate_exact, simulate_feedback
 from apcc_torch.simulation.metrics import backbone_error, orientation_error
 from apcc_torch.simulation.progress import Progress
@@ -57,13 +57,8 @@ def causes(outcome: Outcome) -> tuple[Tensor, Tensor]:
 
 def _judged(outcome: Outcome, at: slice, shape: Tensor) -> Tensor:
     log, pi, controller, divergence = outcome
-    log = KinematicLog(*(field[at] for field in log))
-    of = controller.backbone.coordinates
-    stretches = torch.cat((stretch(log.q_true, pi, of), stretch(log.q_bar, log.pi_hat, of)), dim=-1)
-    e = (log.x_d - log.x).norm(dim=-1)
-    bound = at_bound(log.pi_hat, controller.bounds if controller.adaptive else None)
-    causes: Tensor = divergence(log.time, pi.sum(-1), stretches, shape, e, bound)
-    return causes
+    seen, backbone = KinematicLog(*(field[at] for field in log)), controller.backbone
+    return divergence.of_arm(seen, shape, pi, backbone, backbone, controller.bounds if controller.adaptive else None)
 
 
 def _angles(outcome: Outcome) -> Tensor:

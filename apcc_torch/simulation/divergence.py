@@ -12,8 +12,11 @@ from torch import Tensor
 from apcc_torch.control.controller import APCCController
 from apcc_torch.control.length_bounds import LengthBounds
 from apcc_torch.model.coordinates import CONSTANT_CURVATURE, Coordinates
+from apcc_torch.model.kinematic_model import KinematicModel
 from apcc_torch.part import Part
 from apcc_torch.settings import OURS, Settings, resolved, setting
+from apcc_torch.simulation.dynamic import DynamicLog
+from apcc_torch.simulation.kinematic import KinematicLog
 
 SHORTEST = 1.0
 """Shortest end of a run, s, that tells whether something lasts."""
@@ -166,6 +169,31 @@ class Divergence(Part):
             away = (after > self.tip * length) & (after >= NEARER * before)
             causes = causes | _where(Cause.TIP, end & away)
         return sum(_where(each, (causes & each).cummax(0).values > 0) for each in Cause)  # type: ignore[return-value]
+
+    def of_arm(
+        self,
+        log: KinematicLog | DynamicLog,
+        gap: Tensor,
+        lengths: Tensor,
+        true: KinematicModel,
+        model: KinematicModel,
+        bounds: LengthBounds | None,
+        left_at: Tensor | None = None,
+    ) -> Tensor:
+        """`forward` (T, R) of a simulation's rows, whose true arm is known.
+
+        Args:
+            log: What the rows did.
+            gap, left_at: See `forward`.
+            lengths: (..., n_t) m, of the true arm's sections.
+            true, model: The backbones.
+            bounds: Of pi_hat; None where it does not adapt.
+        """
+        arms = (stretch(log.q_true, lengths, true.coordinates), stretch(log.q_bar, log.pi_hat, model.coordinates))
+        e = (log.x_d - log.x).norm(dim=-1)
+        bound = at_bound(log.pi_hat, bounds)
+        causes: Tensor = self(log.time, lengths.sum(-1), torch.cat(arms, dim=-1), gap, e, bound, left_at)
+        return causes
 
     def of_model(
         self,
