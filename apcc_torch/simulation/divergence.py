@@ -85,12 +85,12 @@ def stretch(q: Tensor, lengths: Tensor, coordinates: Coordinates = CONSTANT_CURV
 
 
 def at_bound(pi_hat: Tensor, bounds: LengthBounds | None) -> Tensor:
-    """Whether (...) any of the rest lengths (..., n_b) is at the least or largest that the bounds allow."""
+    """Whether (...) any of the rest lengths (..., n_b) is at a bound, or pushed beyond it by the reach."""
     at = torch.zeros_like(pi_hat, dtype=torch.bool)
-    if bounds is not None:
-        for bound in (bounds.least, bounds.largest):
-            if bound is not None:
-                at = at | ((pi_hat - bound.to(pi_hat)).abs() <= ROUNDING * pi_hat.abs())
+    if bounds is not None and bounds.least is not None:
+        at = at | (pi_hat <= (1.0 + ROUNDING) * bounds.least.to(pi_hat))
+    if bounds is not None and bounds.largest is not None:
+        at = at | (pi_hat >= (1.0 - ROUNDING) * bounds.largest.to(pi_hat))
     return at.any(-1)
 
 

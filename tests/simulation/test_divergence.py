@@ -10,7 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
+from apcc_torch.control.controller import APCCController
 from apcc_torch.control.length_bounds import LengthBounds
+from apcc_torch.model.arm import Arm
 from apcc_torch.simulation.divergence import Cause, Divergence, at_bound, sentence, stretch
 
 D = torch.float64
@@ -120,3 +122,24 @@ def test_a_sentence_names_a_few_rows_and_counts_the_others() -> None:
         "row 6 from 0.1 s (shape error, tip error), row 9 from 0.1 s (shape error, tip error), "
         "row 12 from 0.1 s (shape error, tip error), and 5 more"
     )
+
+
+def test_where_the_true_arm_is_not_known_the_model_is_judged_at_the_sensors() -> None:
+    controller = APCCController.for_arm(Arm(lengths=[0.2, 0.25]))
+    length, T = torch.tensor(0.45, dtype=D), len(TIME)
+    q, pi_hat = torch.zeros(T, 6, dtype=D), torch.tensor([0.2, 0.25], dtype=D).expand(T, 2)
+    linear = torch.full((T, 2), 0.002, dtype=D)
+    linear[50:60] = torch.nan  # no sensor counts for a while
+
+    def verdict(**changed: Tensor) -> int:
+        values = {"q_bar": q, "pi_hat": pi_hat, "linear": linear, **changed}
+        return int(JUDGE.of_model(controller, length, TIME, **values)[-1, 0])
+
+    assert verdict() == 0 and verdict(e=0.5 * torch.exp(-TIME)) == 0
+    assert verdict(linear=100 * linear) == Cause.SHAPE
+    assert verdict(e=torch.full_like(TIME, 0.2)) == Cause.TIP
+    assert verdict(q_bar=q + 0.5) == Cause.ELONGATION
+    assert controller.bounds is not None
+    longest = controller.bounds(10 * pi_hat)
+    assert verdict(pi_hat=longest) == 0
+    assert verdict(pi_hat=longest, linear=20 * linear.nan_to_num(0.002)) == Cause.LENGTHS
