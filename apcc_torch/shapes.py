@@ -8,6 +8,9 @@ from torch import Tensor
 from apcc_torch.errors import DtypeError, ShapeError, ValueRangeError
 from apcc_torch.modes import holds
 
+FINEST_STAMP = 1e-3
+"""Stamps must be told apart by this much, s."""
+
 Trailing = tuple[int | None, ...]
 
 
@@ -90,6 +93,35 @@ def check_positive(name: str, value: Tensor) -> Tensor:
         index = tuple(int(i) for i in (~good).nonzero()[0])
         raise ValueRangeError(f"{name} must be positive, got {float(value[index]):g} at index {index}")
     return value
+
+
+def coarse_stamps(name: str, time: Tensor) -> str | None:
+    """What is wrong with stamps, s, whose dtype cannot tell milliseconds apart; None where nothing is.
+
+    Example:
+        >>> coarse_stamps("time", torch.tensor(1.7e9))
+        'time is torch.float32, which has steps of 128 s at 1.7e+09 s; hand in float64, or seconds since the start'
+    """
+    if time.dtype is torch.float64 or holds(time.abs() * torch.finfo(time.dtype).eps <= FINEST_STAMP):
+        return None
+    latest = time.abs().max()
+    step = float(torch.nextafter(latest, torch.full_like(latest, torch.inf)) - latest)
+    return (
+        f"{name} is {time.dtype}, which has steps of {step:.3g} s at {float(latest):.3g} s; "
+        "hand in float64, or seconds since the start"
+    )
+
+
+def check_stamps(name: str, time: Tensor) -> Tensor:
+    """Returns `time` (...), s, if its dtype tells milliseconds apart there.
+
+    Raises:
+        ValueRangeError: It does not; see `coarse_stamps`.
+    """
+    fault = coarse_stamps(name, time)
+    if fault:
+        raise ValueRangeError(fault)
+    return time
 
 
 def batch_shape(**leading: tuple[Tensor, int]) -> torch.Size:

@@ -87,7 +87,7 @@ def measured(overrides: tuple[str, ...]) -> dict[str, float] | None:
     log, arms = simulate(config.changed(bounds=bounds, experiment=few))
     thin = thinned(log, 60)
     wanted = ("shape_error_mean_mm", "shape_error_max_mm", "psi_mean_cm", "end_effector_error_end_mm", "diverged_rows")
-    metrics = dynamic_metrics(curves(thin, arms), log.diverged_at)
+    metrics = dynamic_metrics(curves(thin, arms))
     return {name: metrics[name] for name in wanted}
 
 

@@ -30,7 +30,7 @@ def measured(config: SimulateSettings, adaptive: bool) -> dict[str, float]:
     outcome = simulate(replace(config, experiment=replace(config.experiment, duration=DURATION)), adaptive)
     c = curves(thinned(outcome.log), outcome.arms)
     tips = {f"tip_{time:.0f}": 1e3 * float(c.e[(c.time - time).abs().argmin()].mean()) for time in TIMES}
-    return tips | dynamic_metrics(c, outcome.log.diverged_at)
+    return tips | dynamic_metrics(c)
 
 
 if __name__ == "__main__":

@@ -91,7 +91,7 @@ def measured(model: str, sections: int, controller: str, compiled: bool = False)
     """What one setting reaches and costs."""
     config = settings(model, sections, controller)
     outcome = simulate(config)
-    metrics = dynamic_metrics(curves(thinned(outcome.log, 100), outcome.arms), outcome.log.diverged_at)
+    metrics = dynamic_metrics(curves(thinned(outcome.log, 100), outcome.arms))
     build = Builder(config)
     with torch.inference_mode():
         costs = _step_times(build.controller(), build.rest_lengths(), compiled)

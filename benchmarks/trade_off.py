@@ -46,7 +46,7 @@ def measured(overrides: tuple[str, ...], compile: str) -> dict[str, dict[str, fl
     found = {}
     for p, (gain, config) in enumerate(zip(GAINS, configs, strict=True)):
         outcome = one_of(every, config, p)
-        metrics = dynamic_metrics(curves(thinned(outcome.log, 100), outcome.arms), outcome.log.diverged_at)
+        metrics = dynamic_metrics(curves(thinned(outcome.log, 100), outcome.arms))
         found[f"{gain:g}"] = {name: metrics[name] for name in KEPT}
     return found
 

@@ -38,6 +38,7 @@ from apcc_torch.model.friction import TendonTransmission
 from apcc_torch.model.mount import MountedArm, RigidMount
 from apcc_torch.model.static_body import StaticBody
 from apcc_torch.part import Part
+from apcc_torch.simulation.divergence import Divergence
 from apcc_torch.simulation.dynamic import ClosedLoop
 from apcc_torch.simulation.exact import ExactLoop
 from apcc_torch.simulation.kinematic import FeedbackLoop
@@ -310,6 +311,11 @@ CASES: dict[str, Case] = {
             "upper": 0.05 + some(6, scale=0.01),
             "rate": 0.1 + some(6).abs(),
         },
+    ),
+    "Divergence": Case(
+        lambda **t: Divergence(**t),
+        lambda of: of.now(number(0.5), some(4, 3), some(4).abs()),
+        other=lambda: {"shape": 5.0},
     ),
     "PoseSensors": Case(
         lambda **t: PoseSensors(**t),

@@ -57,7 +57,7 @@ def test_the_arm_arrives_within_a_millimetre(finished: tuple[Path, str]) -> None
     folder, printed = finished
     metrics = json.loads((folder / "metrics.json").read_text())
     assert metrics["end_effector_error_start_mm"] > 100.0 and metrics["end_effector_error_end_mm"] < 1.0
-    assert metrics["exit_code"] == 0 and metrics["missed_deadlines"] == 0
+    assert metrics["exit_code"] == 0 and metrics["missed_deadlines"] == 0 and metrics["diverged_rows"] == 0
     assert metrics["duration_s"] < 20.0
     assert "arrived: within 1 mm for 0.5 s" in printed and str(folder) in printed and "Traceback" not in printed
     written = {path.name for path in folder.iterdir()}

@@ -15,6 +15,7 @@ from apcc_torch.model.arm import Arm, vector, with_changes
 from apcc_torch.model.kinematic_model import KinematicModel
 from apcc_torch.model.tendons import TendonRouting
 from apcc_torch.part import part_of
+from apcc_torch.simulation.divergence import Divergence
 from apcc_torch.simulation.plant import Plant
 from apcc_torch.simulation.sensors import PoseSensors
 from apcc_torch.spread import Numbers, spread
@@ -162,6 +163,10 @@ class Builder:
         """The true arm with its tendons and their PID loop, one row a payload."""
         plant = self.config.plant
         return self.placed(part_of(plant).on(self.arm, payload, plant))
+
+    def divergence(self) -> Divergence:
+        """What says which rows diverged."""
+        return Divergence(self.config.divergence)
 
     def pose_sensors(self) -> PoseSensors:
         """What stands between the true poses and the controller."""

@@ -12,6 +12,7 @@ from apcc_torch.estimation.sensor_gate import SensorGateSettings
 from apcc_torch.model.arm import Arm, Lengths
 from apcc_torch.native.compiled import MODES
 from apcc_torch.settings import OURS, PAPER, Setting, Settings, setting
+from apcc_torch.simulation.divergence import DivergenceSettings
 from apcc_torch.simulation.plant import Plant, PlantSettings
 from apcc_torch.simulation.sensors import PoseSensorsSettings
 from apcc_torch.spread import Numbers
@@ -56,6 +57,7 @@ class RunSettings(ControlSettings):
         factory=PoseSensorsSettings, meaning="what a simulation's sensors add to the truth"
     )
     experiment: ExperimentSettings = setting(meaning="what is run")
+    divergence: DivergenceSettings = setting(factory=DivergenceSettings, meaning="which rows count as diverged")
     seed: int = setting(0, "", OURS, "of every random number in the run", least=0, most=2**63 - 1)
     dtype: str = setting("float64", "", OURS, "float64 or float32", choices=("float64", "float32"))
     compile: str = setting(

@@ -16,6 +16,7 @@ from apcc_torch.control.length_bounds import LengthBounds
 from apcc_torch.control.length_law import LawStep, LengthLaw, Memory
 from apcc_torch.control.step_io import Command, ControllerState, Measurement, Target, check_step, measured_tip
 from apcc_torch.control.task_integral import TaskIntegral
+from apcc_torch.control.tendon_limits import SolverStatus
 from apcc_torch.estimation.pose_filter import PoseFilter, PoseFilterState
 from apcc_torch.estimation.savitzky_golay import SavitzkyGolay
 from apcc_torch.estimation.state_feedback import StateFeedback
@@ -195,15 +196,19 @@ class APCCController(Part):
             chain, dq_dpi = self.backbone.chain(q_bar.expand(*batch, q_bar.shape[-1]), pi_hat), None
         x, tip_seen = measured_tip(measurement, chain.tip)
         e = target.x_d - x
-        # Where the tip is not measured e is the model's own: it is not integrated, and teaches nothing of the model.
-        e_seen = torch.where(tip_seen.unsqueeze(-1), e, 0.0)
+        # Where the tip is not measured e is the model's own, and without a target there is none: it is not integrated,
+        # and teaches nothing of the model.
+        e_seen = torch.where((tip_seen & torch.isfinite(e).all(-1)).unsqueeze(-1), e, 0.0)
         integral = state.integral
         if self.integral is not None and integral is not None:
             integral = self.integral(integral, e_seen, dt)
         wanted = e if integral is None else e + integral
         qdot, limits = self._solve(state, measurement, target, q_bar, chain, wanted, dt)
-        q_d = self._bounded(state.q_d + dt.unsqueeze(-1) * qdot)
         # A step that is not finite is not taken: one bad measurement or target must not stay in the integral.
+        aimed = torch.isfinite(qdot).all(-1) & torch.isfinite(e).all(-1)
+        qdot = torch.where(aimed.unsqueeze(-1), qdot, 0.0)
+        limits = torch.where(aimed, SolverStatus.FREE if limits is None else limits, SolverStatus.NOT_FINITE)
+        q_d = self._bounded(state.q_d + dt.unsqueeze(-1) * qdot)
         q_d = torch.where(torch.isfinite(q_d), q_d, state.q_d)
         memories = state.memories
         if self.adaptive and self.laws:

@@ -55,7 +55,7 @@ class Command(NamedTuple):
     y: (..., n_a) tendon length changes B_hat^T q_d, Eq. (49), m; None without tendons.
     e: (..., 3) position error x_d - x, m.
     feedback: What algorithm 2 returned.
-    limits: (...) `SolverStatus` of the velocity where tendon limits are in force; None elsewhere.
+    limits: (...) int64 `SolverStatus` of the velocity. NOT_FINITE: the target is not, and the row holds its q_d.
     force: (..., n_a) feed-forward of the tendon loop, N; None without a model of the dynamics.
     """
 

@@ -5,6 +5,7 @@ Nothing here asks for a value, so one step can be compiled whole and runs on any
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from enum import IntEnum
 from typing import Any, NamedTuple, Protocol
@@ -28,7 +29,9 @@ from apcc_torch.envs.tasks import Goal, Reach
 from apcc_torch.errors import ConfigError
 from apcc_torch.model.arm import Arm
 from apcc_torch.part import Part
+from apcc_torch.reading import read
 from apcc_torch.settings import OURS, resolved, setting
+from apcc_torch.simulation.divergence import Divergence, DivergenceSettings, stretch
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,6 +48,9 @@ class SimulatorSettings(AdaptiveLoopSettings, DynamicArmSettings, Ranges):
         5.0 / 3.0, "", OURS, "bound of observed positions over the arm's length; differences: twice", above=0
     )
     speed_bound: float = setting(25.0 / 3.0, "1/s", OURS, "bound of observed velocities over the arm's length", above=0)
+    divergence: Mapping[str, Any] = setting(
+        factory=dict, unit="", source=OURS, meaning="what differs from `DivergenceSettings`, by name"
+    )
     tendon_bound: float = setting(
         5.0 / 6.0, "", OURS, "bound of observed changes of tendon lengths over the arm's length", above=0
     )
@@ -52,9 +58,14 @@ class SimulatorSettings(AdaptiveLoopSettings, DynamicArmSettings, Ranges):
     def check(self) -> None:
         """Raises ConfigError where a setting is a tensor: rows differ by what is drawn for them."""
         super().check()
+        self.divergence_settings()
         for each in fields(self):
             if isinstance(getattr(self, each.name), Tensor):
                 raise ConfigError(f"{each.name} must be a number: rows of an environment differ by its ranges")
+
+    def divergence_settings(self) -> DivergenceSettings:
+        """What says that a row has diverged."""
+        return read(self.divergence, DivergenceSettings, "divergence")
 
 
 class TruncatedReason(IntEnum):
@@ -70,7 +81,7 @@ class TruncatedReason(IntEnum):
     NOT_FINITE = 2
     """The action or the arm's state is not a number: the row stays where it was."""
     DIVERGED = 3
-    """The arm's state left its bounds: the row stays where it was."""
+    """The arm's state left its bounds: the row stays where it was. Or the controller's model did, see `Divergence`."""
 
 
 class Body(Protocol):
@@ -161,6 +172,7 @@ class Simulator(Part):
         self.loop = AdaptiveLoop(arm, like, s) if adapts else None
         self.drive = None if adapts else Drive(arm, self.period, like, s)
         self.sensing = Sensing(s.noise[1] > 0, int(s.delay[1]))
+        self.judge = Divergence(s.divergence_settings())
         self.action_size, self.bound = s.size(arm), s.plant_settings().bound
         self.register_buffer("nominal", arm.rest_lengths().to(like))
         self.register_buffer("B", arm.routing().to(like).matrix(self.nominal))
@@ -210,7 +222,8 @@ class Simulator(Part):
         # A row that goes wrong stays where it was: its observation is good, and its neighbours never notice.
         learnt = () if controller is None else (controller.q_bar, controller.pi_hat)
         largest = torch.cat((action, *self.arm.coordinates(arm), *learnt), dim=-1).abs().amax(-1)  # NaN stays NaN
-        good = largest <= self.bound
+        length = self.arm.lengths(state.rows).sum(-1)
+        good = (largest <= self.bound) & (self.judge.now(length, self._stretches(arm, controller, state.rows)) == 0)
         arm, q_d, y, controller = select(
             good, _Moved(arm, q_d, y, controller), _Moved(state.arm, state.q_d, state.y, state.controller)
         )
@@ -224,6 +237,10 @@ class Simulator(Part):
         late = torch.zeros_like(step)
         if self.max_episode_steps is not None:
             late = torch.where(step >= self.max_episode_steps, TruncatedReason.TIME_LIMIT.value, late)
+        if model is not None:
+            gap = (model.backbone - points.backbone).norm(dim=-1).mean(-1)
+            lost = self.judge.now(length, self._stretches(arm, controller, state.rows), gap) > 0
+            late = torch.where(lost, TruncatedReason.DIVERGED.value, late)
         reason = torch.where(good, late, reason)
         return later, Outcome(view, self._reward(action, view, points, model), reason > 0, reason)
 
@@ -255,6 +272,16 @@ class Simulator(Part):
         controller, command = self.loop(state.controller, action, seen, time + self.period, target, state.rows.lengths)
         y = command.q_d @ self.B if command.y is None else command.y
         return command.q_d, y, controller
+
+    def _stretches(
+        self, arm: KinematicState | DynamicState, controller: ControllerState | None, rows: RowParameters
+    ) -> Tensor:
+        """(N, m) elongations of the arm's sections, and of the model's, over their rest lengths."""
+        arms = stretch(self.arm.configuration(arm), self.arm.lengths(rows))
+        if self.loop is None or controller is None:
+            return arms
+        of = self.loop.controller.backbone.coordinates
+        return torch.cat((arms, stretch(controller.q_bar, controller.pi_hat, of)), dim=-1)
 
     def _model_points(self, state: EnvState) -> Positions | None:
         """Where the controller's model has the arm; None without a controller."""

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import inspect
 from typing import Any, ClassVar
 
 import gymnasium
 import numpy as np
 import torch
+from gymnasium.wrappers import TimeLimit
 from numpy.typing import NDArray
 from torch import Tensor
 
+from apcc_torch.envs.simulator import TruncatedReason
 from apcc_torch.envs.vector_env import ArmVectorEnv
 from apcc_torch.errors import ConfigError
 
@@ -17,7 +20,7 @@ Observation = NDArray[np.float32]
 
 
 class ArmEnv(gymnasium.Env[Observation, Observation]):
-    """One row of an `ArmVectorEnv`; the time limit is that of Gymnasium's wrapper.
+    """One row of an `ArmVectorEnv`; the time limit is that of Gymnasium's wrapper, and `truncated_reason` tells it too.
 
     Args:
         render_mode: "rgb_array", "human" for a window, or None.
@@ -36,12 +39,14 @@ class ArmEnv(gymnasium.Env[Observation, Observation]):
         self.batch = self.vector(1, autoreset_mode="DISABLED", **settings)
         self.observation_space = self.batch.single_observation_space
         self.action_space = self.batch.single_action_space
+        self.time_limit: int | None = None
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
         """Starts a new episode; row 0 of the batch with the same seed."""
         super().reset(seed=seed)
+        self.time_limit = _time_limit(self)
         observation, info = self.batch.reset(seed=seed)
         return observation[0].cpu().numpy(), _plain(info)
 
@@ -49,7 +54,10 @@ class ArmEnv(gymnasium.Env[Observation, Observation]):
         """One control period."""
         given = torch.as_tensor(np.asarray(action, dtype=np.float32)).unsqueeze(0)
         observation, reward, terminated, truncated, info = self.batch.step(given)
-        plain = observation[0].cpu().numpy(), float(reward), bool(terminated), bool(truncated), _plain(info)
+        told = _plain(info)
+        if self.time_limit is not None and self.batch.state is not None and not told["truncated_reason"]:
+            told["truncated_reason"] = int(TruncatedReason.TIME_LIMIT) * (int(self.batch.state.step) >= self.time_limit)
+        plain = observation[0].cpu().numpy(), float(reward), bool(terminated), bool(truncated), told
         if self.render_mode == "human":
             self.render()
         return plain
@@ -67,6 +75,20 @@ class ArmEnv(gymnasium.Env[Observation, Observation]):
     def close(self) -> None:
         """Closes the window, if there is one."""
         self.batch.close()
+
+
+def _time_limit(env: ArmEnv) -> int | None:
+    """Steps after which a wrapper ends the episode; `gymnasium.make` tells the number to the wrapper alone.
+
+    The wrapper is one of those who called: it resets through this environment.
+    """
+    limits, frame = [], inspect.currentframe()
+    while frame is not None:
+        caller = frame.f_locals.get("self")
+        if isinstance(caller, TimeLimit) and caller.unwrapped is env:
+            limits.append(caller._max_episode_steps)
+        frame = frame.f_back
+    return min(limits, default=None)
 
 
 def _plain(info: dict[str, Tensor]) -> dict[str, Any]:

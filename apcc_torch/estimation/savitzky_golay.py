@@ -7,6 +7,7 @@ state, stamps may be uneven and samples may be missing.
 from __future__ import annotations
 
 import math
+import warnings
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -16,7 +17,7 @@ from torch import Tensor
 from apcc_torch.errors import ShapeError, ValueRangeError
 from apcc_torch.part import Part, refuse_parameter
 from apcc_torch.settings import OURS, Settings, resolved, setting
-from apcc_torch.shapes import batch_shape, check_same, check_tensor
+from apcc_torch.shapes import batch_shape, check_same, check_stamps, check_tensor, coarse_stamps
 
 
 class SavitzkyGolayState(NamedTuple):
@@ -219,9 +220,13 @@ class SavitzkyGolay(Part):
         Args:
             sample: A sample, for its shape, dtype and device, shape (..., n).
             time: Time stamp at or before the first sample in s, shape (...).
+
+        Raises:
+            ValueRangeError: The stamp's dtype does not tell milliseconds apart; where only a later one does not, `push`
+                warns.
         """
         check_tensor("sample", sample, (None,))
-        check_tensor("time", time, ())
+        check_stamps("time", check_tensor("time", time, ()))
         batch = batch_shape(sample=(sample, 1), time=(time, 0))
         return SavitzkyGolayState(
             sample.new_zeros((*batch, self.length, sample.shape[-1])),
@@ -237,6 +242,9 @@ class SavitzkyGolay(Part):
         check_tensor("sample", sample, (n,))
         check_tensor("time", time, ())
         check_same(sample=sample, state=state.samples)
+        # A run is not ended for it; on an accelerator the question would wait for the queue.
+        if time.dtype is not torch.float64 and time.is_cpu and (fault := coarse_stamps("time", time)):
+            warnings.warn(fault, stacklevel=2)
         batch = state.times.shape[:-1]
         # x * 0 is 0 for finite x only, and one sum then tells of the whole sample.
         ok = (sample * 0).sum(-1) == 0

@@ -19,7 +19,7 @@ from torch import Tensor
 
 from apcc_torch.part import Part, hold_rows, refuse_parameter
 from apcc_torch.settings import OURS, Settings, resolved, setting
-from apcc_torch.shapes import batch_shape, check_tensor
+from apcc_torch.shapes import batch_shape, check_stamps, check_tensor
 from apcc_torch.spread import Numbers, spread
 
 
@@ -181,7 +181,7 @@ class SensorGate(Part):
             time: A time stamp, for its shape and dtype, shape (...).
         """
         check_tensor("T", T, (self.sensors, 4, 4))
-        check_tensor("time", time, ())
+        check_stamps("time", check_tensor("time", time, ()))
         batch = batch_shape(T=(T, 3), time=(time, 0))
         never = torch.full((*batch, self.sensors), -inf, dtype=time.dtype, device=time.device)
         eye = torch.eye(3, dtype=T.dtype, device=T.device)

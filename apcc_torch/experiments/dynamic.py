@@ -13,9 +13,12 @@ from torch import Tensor
 from apcc_torch.composition.build import Builder
 from apcc_torch.composition.dynamics_law import true_parameters, with_dynamics
 from apcc_torch.composition.run_settings import SimulateSettings
+from apcc_torch.control.composite_controller import CompositeController
+from apcc_torch.control.controller import APCCController
 from apcc_torch.control.inverse_kinematics import elongation_cost
+from apcc_torch.control.length_bounds import LengthBounds
 from apcc_torch.control.trajectory import Trajectory
-from apcc_torch.experiments.folder import RunFolder, progress_bar
+from apcc_torch.experiments.folder import RunFolder, progress_bar, warn
 from apcc_torch.model.abscissae import decouple
 from apcc_torch.model.backbone import PCCBackbone
 from apcc_torch.model.dynamics_regressor import PARAMETERS
@@ -25,6 +28,7 @@ from apcc_torch.report.animation import save_animation
 from apcc_torch.report.backbone_drawing import Snapshots, marker_positions, spread_indices, stroboscopic_figure
 from apcc_torch.report.dynamics_parameters import dynamics_parameter_figure
 from apcc_torch.report.style import Draw, attempt, save_figures
+from apcc_torch.simulation.divergence import Divergence, sentence
 from apcc_torch.simulation.dynamic import DynamicLog, DynamicSettings, simulate_dynamic
 from apcc_torch.simulation.metrics import backbone_error, mapping_error, orientation_error
 from apcc_torch.simulation.progress import Progress
@@ -36,13 +40,16 @@ SETTLED = 0.01
 
 
 class Arms(NamedTuple):
-    """The true arm and the model of a run."""
+    """The true arm and the model of a run, and what judges whether they ran away."""
 
     true: PCCBackbone
     true_lengths: Tensor  # (n_t,) m
     model: KinematicModel
     sensors: Tensor  # (k,) m
     theta: Tensor  # (R, 5) the true arm's `dynamics_regressor.PARAMETERS`
+    divergence: Divergence
+    bounds: LengthBounds | None  # of pi_hat, where it adapts
+    period: float  # s, of a control step
 
 
 class Outcome(NamedTuple):
@@ -91,9 +98,7 @@ def simulate(
             progress or progress_bar(label, config.progress),
             build.true_sensors_at(),
         )
-    true = true_parameters(build, payload)
-    arms = Arms(plant.backbone, plant.dynamics.lengths, controller.backbone, controller.feedback.abscissae, true)
-    return Outcome(log, arms)
+    return Outcome(log, _arms_of(build, controller, plant.backbone, plant.dynamics.lengths, payload))
 
 
 def _rows(build: Builder) -> tuple[Trajectory, Tensor]:
@@ -124,16 +129,34 @@ def arrays(outcome: Outcome) -> dict[str, Tensor]:
 
 def metrics(outcome: Outcome) -> dict[str, float]:
     """Metrics of one run."""
-    values = dynamic_metrics(curves(thinned(outcome.log), outcome.arms), outcome.log.diverged_at)
-    return values | estimate_metrics(outcome)
+    return dynamic_metrics(curves(thinned(outcome.log), outcome.arms)) | estimate_metrics(outcome)
 
 
 def _arms(config: SimulateSettings) -> Arms:
     build = Builder(config)
     lengths = build.true_lengths()
     true = PCCBackbone(lengths.shape[-1], build.base_rotation())
-    theta = true_parameters(build, _rows(build)[1])
-    return Arms(true, lengths, build.backbone(), build.sensors_at(), theta)
+    return _arms_of(build, build.controller(), true, lengths, _rows(build)[1])
+
+
+def _arms_of(
+    build: Builder,
+    controller: APCCController | CompositeController,
+    true: PCCBackbone,
+    lengths: Tensor,
+    payload: Tensor,
+) -> Arms:
+    kinematic = controller.kinematic if isinstance(controller, CompositeController) else controller
+    return Arms(
+        true,
+        lengths,
+        kinematic.backbone,
+        kinematic.feedback.abscissae,
+        true_parameters(build, payload),
+        build.divergence(),
+        kinematic.bounds if kinematic.adaptive else None,
+        1.0 / build.config.controller.rate,
+    )
 
 
 def thinned(log: DynamicLog, instants: int = INSTANTS) -> DynamicLog:
@@ -153,6 +176,9 @@ def curves(log: DynamicLog, arms: Arms) -> figures.RunCurves:
         places = decouple(arms.sensors, arms.true_lengths)
         rotation = arms.true.pose(log.q_true, arms.true_lengths, *places)[..., :3, :3]
         angular = orientation_error(arms.model, log.q_bar, log.pi_hat, arms.sensors, rotation)
+        left_at = torch.where(log.diverged_at < 0, torch.inf, arms.period * log.diverged_at)
+        judged = (shape, arms.true_lengths, arms.true, arms.model, arms.bounds, left_at)
+        diverged = arms.divergence.of_arm(log, *judged)
     return figures.RunCurves(
         time=log.time,
         shape_error=shape,
@@ -162,10 +188,11 @@ def curves(log: DynamicLog, arms: Arms) -> figures.RunCurves:
         e=(log.x_d - log.x).norm(dim=-1),
         pi_hat=log.pi_hat,
         mapping_error=mapped,
+        diverged=diverged,
     )
 
 
-def dynamic_metrics(c: figures.RunCurves, diverged_at: Tensor) -> dict[str, float]:
+def dynamic_metrics(c: figures.RunCurves) -> dict[str, float]:
     """Flat metrics over all runs and instants, SI units in the names."""
     last = c.time >= c.time[-1] - 5.0
     above = (c.e > SETTLED).to(torch.int64)
@@ -182,6 +209,7 @@ def dynamic_metrics(c: figures.RunCurves, diverged_at: Tensor) -> dict[str, floa
         "shape_error_max_mm": 1e3 * c.shape_error.max(),
         "shape_error_min_mm": 1e3 * c.shape_error.min(),
         "shape_error_end_mm": 1e3 * c.shape_error[-1].mean(),
+        "shape_error_end_max_mm": 1e3 * c.shape_error[-1].max(),
         "shape_error_last5s_max_mm": 1e3 * c.shape_error[last].max(),
         "psi_mean_cm": 1e2 * c.psi.mean(),
         "psi_max_cm": 1e2 * c.psi.max(),
@@ -189,13 +217,13 @@ def dynamic_metrics(c: figures.RunCurves, diverged_at: Tensor) -> dict[str, floa
         "sensor_error_linear_mean_mm": 1e3 * c.linear.mean(),
         "sensor_error_angular_mean_rad": c.angular.mean(),
         "mapping_error_mean_mm": 1e3 * c.mapping_error.mean(),
-        "pi_error_end_max_mm": 1e3 * (c.pi_hat[-1] - c.pi_hat[0]).abs().max(),
+        "pi_drift_end_max_mm": 1e3 * (c.pi_hat[-1] - c.pi_hat[0]).abs().max(),
     }
     for i in range(c.linear.shape[-1]):
         metrics[f"sensor_{i + 1}_error_linear_mean_mm"] = 1e3 * c.linear[..., i].mean()
         metrics[f"sensor_{i + 1}_error_angular_mean_rad"] = c.angular[..., i].mean()
     metrics["rows"] = torch.tensor(float(c.e.shape[1]))
-    metrics["diverged_rows"] = (diverged_at >= 0).sum()
+    metrics["diverged_rows"] = (c.diverged[-1] > 0).sum()
     return {name: float(value) for name, value in metrics.items()}
 
 
@@ -256,7 +284,7 @@ def draw(outcome: Outcome, folder: Path, name: str = "run") -> None:
     }
     if thin.theta_hat.shape[-1] > 0:
         pictures["dynamics.png"] = lambda: dynamics_parameter_figure(thin.time, thin.theta_hat, outcome.arms.theta)
-    save_figures(pictures, folder)
+    save_figures(pictures, folder, warning=sentence(c.time, c.diverged))
     film = {"shape error (mm)": 1e3 * c.shape_error[:, -1], "end-effector error (mm)": 1e3 * c.e[:, -1]}
     with attempt("the film"):
         save_animation(folder / "animation", snapshots(thin, outcome.arms, -1, None), film)
@@ -276,7 +304,9 @@ def run(config: SimulateSettings, folder: Path) -> dict[str, float]:
     started = time.perf_counter()
     name = _name(config)
     outcome = simulate(config, label=f"{config.experiment.name}, {name}")
-    values = metrics(outcome)
+    c = curves(thinned(outcome.log), outcome.arms)
+    values = dynamic_metrics(c) | estimate_metrics(outcome)
+    warn(sentence(c.time, c.diverged))
     values["wall_s"] = time.perf_counter() - started
     RunFolder(folder).write(values, arrays(outcome), config.seed)
     if config.figures:

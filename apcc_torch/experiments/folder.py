@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 import platform
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sized
@@ -19,6 +20,8 @@ from tqdm import tqdm
 import apcc_torch
 from apcc_torch.files import draft_of, write_arrays, write_json
 from apcc_torch.simulation.progress import Progress, quiet
+
+log = logging.getLogger(__name__)
 
 _told: ContextVar[Path | None] = ContextVar("progress_file", default=None)
 _TELL_EVERY = 0.5
@@ -57,6 +60,12 @@ def _telling(steps: Iterable[int], label: str, path: Path) -> Iterator[int]:
             with draft_of(path) as draft:
                 draft.write_text(json.dumps({"label": label, "done": done, "steps": total}))
         yield step
+
+
+def warn(of: str | None, run: str = "") -> None:
+    """Logs what a run's numbers have to be read with, if there is something; the run itself is complete."""
+    if of is not None:
+        log.warning("%s%s", f"{run}: " if run else "", of)
 
 
 def metrics_text(metrics: Mapping[str, float]) -> str:

@@ -15,15 +15,17 @@ from apcc_torch.composition.build import Builder
 from apcc_torch.composition.run_settings import SimulateSettings
 from apcc_torch.control.controller import APCCController
 from apcc_torch.control.inverse_kinematics import elongation_cost
-from apcc_torch.experiments.folder import RunFolder, progress_bar
+from apcc_torch.experiments.folder import RunFolder, progress_bar, warn
+from apcc_torch.model.abscissae import decouple
 from apcc_torch.model.kinematic_model import KinematicModel
 from apcc_torch.report.animation import save_animation
 from apcc_torch.report.backbone_drawing import Snapshots
 from apcc_torch.report.kinematic import kinematic_figures, select_row, snapshots
 from apcc_torch.report.style import attempt, save_figures
+from apcc_torch.simulation.divergence import Divergence, sentence
 from apcc_torch.simulation.exact import simulate_exact
 from apcc_torch.simulation.kinematic import KinematicLog, simulate_feedback
-from apcc_torch.simulation.metrics import VelocityQuality, backbone_error, velocity_quality
+from apcc_torch.simulation.metrics import VelocityQuality, backbone_error, orientation_error, velocity_quality
 from apcc_torch.simulation.progress import Progress
 
 SHAPE_SAMPLES = 200
@@ -33,43 +35,81 @@ INSTANTS = 600
 """Largest number of instants of a run that is drawn anew; more would not be seen."""
 
 
-def kinematic_metrics(log: KinematicLog, backbone: KinematicModel, pi: Tensor) -> dict[str, float]:
+class Outcome(NamedTuple):
+    """What a run left: its log, the true rest lengths pi (n_b,) m, the arm with its sensors, and what judges it."""
+
+    log: KinematicLog
+    pi: Tensor
+    controller: APCCController
+    divergence: Divergence
+
+
+def shape_errors(log: KinematicLog, backbone: KinematicModel, pi: Tensor) -> tuple[slice, Tensor]:
+    """The instants at which the shape error is computed, S of them, and the error (S, R) m; see `kinematic_metrics`."""
+    at = slice(None, None, max(1, log.time.shape[0] // SHAPE_SAMPLES))
+    return at, backbone_error(backbone, log.q_true[at], pi, backbone, log.q_bar[at], log.pi_hat[at])
+
+
+def causes(outcome: Outcome) -> tuple[Tensor, Tensor]:
+    """Instants (S,) s, and the `Cause`s (S, R) by which each row has diverged until then."""
+    log, pi, controller, _ = outcome
+    at, shape = shape_errors(log, controller.backbone, pi)
+    return log.time[at], _judged(outcome, at, shape)
+
+
+def _judged(outcome: Outcome, at: slice, shape: Tensor) -> Tensor:
+    log, pi, controller, divergence = outcome
+    seen, backbone = KinematicLog(*(field[at] for field in log)), controller.backbone
+    return divergence.of_arm(seen, shape, pi, backbone, backbone, controller.bounds if controller.adaptive else None)
+
+
+def _angles(outcome: Outcome) -> Tensor:
+    """Angles (T, R, k) rad of the model to the true orientations at the sensors; 0 where q is known without any."""
+    log, pi, controller, _ = outcome
+    # Algorithm 2 reports no angles where it fits positions alone.
+    if controller.feedback.mode != "position" or not bool(log.linear_error.any()):
+        return log.angular_error
+    places = controller.feedback.abscissae
+    true = controller.backbone.pose(log.q_true, pi, *decouple(places.to(pi), pi))
+    return orientation_error(controller.backbone, log.q_bar, log.pi_hat, places, true[..., :3, :3])
+
+
+def kinematic_metrics(outcome: Outcome) -> dict[str, float]:
     """Flat metrics of a run, SI units in the names; over all rows, and the worst row where a name says max.
 
     Args:
-        log: Time first, (T, R, ...).
-        backbone: True arm and model alike.
-        pi: (n_b,) true rest lengths, m.
+        outcome: Of one run, its log (T, R, ...).
     """
-    stride = max(1, log.time.shape[0] // SHAPE_SAMPLES)
+    log, pi, controller, _ = outcome
+    backbone = controller.backbone
     last = log.time >= log.time[-1] - 5.0
-    shape = backbone_error(backbone, log.q_true[::stride], pi, backbone, log.q_bar[::stride], log.pi_hat[::stride])
+    at, shape = shape_errors(log, backbone, pi)
     shape_end = backbone_error(backbone, log.q_true[-1], pi, backbone, log.q_bar[-1], log.pi_hat[-1])
     e = (log.x_d - log.x).norm(dim=-1)
     psi = elongation_cost(log.q_bar, coordinates=backbone.coordinates)
     gap = (log.pi_hat[-1] - pi).abs()
     velocity = _velocity(log, backbone)
-    # A row counts as diverged where it is not finite or its tip is farther off than the arm is long.
-    diverged = ~(e.amax(0) < pi.sum()) | ~torch.isfinite(log.q_bar).all(-1).all(0)
     metrics = {
-        "end_effector_error_end_mm": 1e3 * e[-1].max(),
+        "end_effector_error_end_mm": 1e3 * e[-1].mean(),
+        "end_effector_error_end_max_mm": 1e3 * e[-1].max(),
         "end_effector_error_mean_mm": 1e3 * e.mean(),
         "end_effector_error_last5s_max_mm": 1e3 * e[last].max(),
         "shape_error_mean_mm": 1e3 * shape.mean(),
         "shape_error_max_mm": 1e3 * shape.max(),
         "shape_error_min_mm": 1e3 * shape.min(),
-        "shape_error_end_mm": 1e3 * shape_end.max(),
-        "shape_error_last5s_max_mm": 1e3 * shape[last[::stride]].max(),
+        "shape_error_end_mm": 1e3 * shape_end.mean(),
+        "shape_error_end_max_mm": 1e3 * shape_end.max(),
+        "shape_error_last5s_max_mm": 1e3 * shape[last[at]].max(),
         "velocity_lag_ms": 1e3 * velocity.lag.mean(),
         "velocity_noise_mmps": 1e3 * velocity.noise.mean(),
         "psi_mean_cm": 1e2 * psi.mean(),
         "psi_max_cm": 1e2 * psi.max(),
         "sensor_error_linear_mean_mm": 1e3 * log.linear_error.mean(),
-        "sensor_error_angular_mean_rad": log.angular_error.mean(),
+        "sensor_error_angular_mean_rad": _angles(outcome).mean(),
         "pi_error_end_max_mm": 1e3 * gap.max(),
         **{f"pi_hat_{i + 1}_end_m": log.pi_hat[-1, 0, i] for i in range(pi.shape[0])},
         "rows": log.q_bar.shape[1],
-        "diverged_rows": diverged.sum(),
+        "diverged_rows": (_judged(outcome, at, shape)[-1] > 0).sum(),
     }
     return {name: float(value) for name, value in metrics.items()}
 
@@ -82,14 +122,6 @@ def _velocity(log: KinematicLog, backbone: KinematicModel) -> VelocityQuality:
     J_hat = backbone.tip_jacobian(q_bar, pi_hat)
     seen = (J_hat @ log.qdot_bar[half].unsqueeze(-1)).squeeze(-1)
     return velocity_quality(seen, torch.gradient(log.x[half], spacing=dt, dim=0)[0], dt)
-
-
-class Outcome(NamedTuple):
-    """What a run left: its log, the true rest lengths pi (n_b,) m, and the arm with its sensors."""
-
-    log: KinematicLog
-    pi: Tensor
-    controller: APCCController
 
 
 def simulate(config: SimulateSettings, points: int | None = None, progress: Progress | None = None) -> Outcome:
@@ -128,34 +160,38 @@ def simulate(config: SimulateSettings, points: int | None = None, progress: Prog
             progress or progress_bar("section V-A", config.progress),
             config.compile,
         )
-    return Outcome(log, pi, controller)
+    return Outcome(log, pi, controller, build.divergence())
 
 
 def one_of(outcome: Outcome, config: SimulateSettings, p: int) -> Outcome:
     """Run p, with its own settings, of runs side by side."""
     log = KinematicLog(*(field if field.dim() == 1 else field[:, p].contiguous() for field in outcome.log))
     build = Builder(config)
-    return Outcome(log, build.rest_lengths(), build.controller())
+    return Outcome(log, build.rest_lengths(), build.controller(), build.divergence())
 
 
 def metrics(outcome: Outcome) -> dict[str, float]:
     """Metrics of one run: the headline ones are row 0's, those named `all_rows_...` are over every row."""
-    log, pi, controller = outcome
+    log = outcome.log
     with torch.inference_mode():
-        first = KinematicLog(*(field if field.dim() == 1 else field[:, :1] for field in log))
-        values = kinematic_metrics(first, controller.backbone, pi)
+        values = kinematic_metrics(_first(outcome))
         if log.q_bar.shape[1] == 1:
             return values
-        every = kinematic_metrics(log, controller.backbone, pi)
+        every = kinematic_metrics(outcome)
     values |= {f"all_rows_{name}": value for name, value in every.items() if "pi_hat" not in name}
     return values | {"rows": every["rows"], "diverged_rows": every["diverged_rows"]}
 
 
+def _first(outcome: Outcome) -> Outcome:
+    """Row 0 alone."""
+    return outcome._replace(log=KinematicLog(*(field if field.dim() == 1 else field[:, :1] for field in outcome.log)))
+
+
 def draw(outcome: Outcome, folder: Path) -> None:
     """Figures 7, 8 and 9 of one run's row 0."""
-    log, pi, controller = outcome
+    log, pi, controller, _ = outcome
     figures = kinematic_figures(select_row(log, 0), pi, controller.feedback.abscissae, controller.backbone)
-    save_figures(figures, folder)
+    save_figures(figures, folder, warning=sentence(*causes(_first(outcome))))
 
 
 def arrays(outcome: Outcome) -> dict[str, Tensor]:
@@ -166,7 +202,8 @@ def arrays(outcome: Outcome) -> dict[str, Tensor]:
 def loaded(config: SimulateSettings, data: Mapping[str, Tensor]) -> Outcome:
     """The outcome of a run from its trajectory.npz."""
     build = Builder(config)
-    return Outcome(KinematicLog(*(data[name] for name in KinematicLog._fields)), data["pi"], build.controller())
+    log = KinematicLog(*(data[name] for name in KinematicLog._fields))
+    return Outcome(log, data["pi"], build.controller(), build.divergence())
 
 
 def redraw(config: SimulateSettings, arrays: dict[str, Tensor], into: Path, figured: bool, filmed: bool) -> None:
@@ -206,6 +243,8 @@ def run(config: SimulateSettings, folder: Path) -> dict[str, float]:
     started = time.perf_counter()
     outcome = simulate(config)
     values = metrics(outcome)
+    if values["diverged_rows"]:
+        warn(sentence(*causes(outcome)))
     values["wall_s"] = time.perf_counter() - started
     RunFolder(folder).write(values, arrays(outcome), config.seed)
     if config.figures:

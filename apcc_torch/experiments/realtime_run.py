@@ -9,15 +9,21 @@ from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+import torch
+from torch import Tensor
+
 from apcc_torch.composition.build_realtime import RealtimeBuilder
 from apcc_torch.composition.calibrated import calibrated, load_calibration
 from apcc_torch.composition.realtime import RealtimeSettings
 from apcc_torch.composition.schema import from_text, text
+from apcc_torch.control.controller import APCCController
 from apcc_torch.errors import DataError
-from apcc_torch.experiments.folder import versions
+from apcc_torch.experiments.folder import versions, warn
 from apcc_torch.files import write_json
 from apcc_torch.hardware.calibration_confirmation import calibration_checks
 from apcc_torch.hardware.calibration_file import ArmCalibration
+from apcc_torch.hardware.control import Decision
 from apcc_torch.hardware.devices import Devices
 from apcc_torch.hardware.log import RunLog
 from apcc_torch.hardware.log_reader import RobotLog
@@ -31,6 +37,7 @@ from apcc_torch.hardware.stop_request import StopRequest
 from apcc_torch.hardware.stops import StopReason
 from apcc_torch.hardware.summary import Summary
 from apcc_torch.hardware.view import LiveView
+from apcc_torch.simulation.divergence import sentence
 
 log = logging.getLogger(__name__)
 
@@ -77,6 +84,10 @@ def run(settings: RealtimeSettings, folder: Path) -> tuple[Outcome, dict[str, fl
         outcome = Runner(setup).run()
     failure = None if log_file is None else log_file.failure()
     metrics = summary.metrics(outcome) | devices.world.metrics()
+    if summary.decisions:
+        causes = _causes(build, setup.control.controller, summary.decisions)
+        metrics["diverged_rows"] = float(outcome.reason is StopReason.DIVERGENCE or bool(causes[-1] > 0))
+        warn(sentence(_stacked("time", summary.decisions), causes))
     try:
         _write(folder, settings.seed, summary.events, metrics)
     except OSError as error:
@@ -112,6 +123,22 @@ def _setup(
     if calibration is None:
         return setup
     return replace(setup, checks=calibration_checks(calibration, setup, build.settings.calibration))
+
+
+def _stacked(name: str, decisions: list[Decision]) -> Tensor:
+    return torch.from_numpy(np.array([getattr(each, name) for each in decisions]))
+
+
+def _causes(build: RealtimeBuilder, controller: APCCController, decisions: list[Decision]) -> Tensor:
+    """(T, 1) `Cause`s by which the run has diverged until each decision."""
+    settings = build.settings
+    names = ("time", "q_bar", "pi_hat", "linear_error", "e")
+    time, q_bar, pi_hat, linear, e = (_stacked(name, decisions) for name in names)
+    # Nothing drives the arm to a target where tendons go their own way, or have no torque.
+    driven = settings.experiment.kind != "tendons" and not settings.dry_run
+    length = build.model.rest_lengths().sum()
+    of = build.model.divergence()
+    return of.of_model(controller, length, time, q_bar, pi_hat, linear, e.norm(dim=-1) if driven else None)
 
 
 def _log(build: RealtimeBuilder, devices: Devices, attached: dict[str, str], folder: Path) -> RunLog:

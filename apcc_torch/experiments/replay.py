@@ -13,15 +13,16 @@ from apcc_torch.composition.build import Builder
 from apcc_torch.composition.run_settings import SimulateSettings
 from apcc_torch.errors import ConfigError
 from apcc_torch.estimation.sensor_gate import SensorGate
-from apcc_torch.experiments.folder import RunFolder, progress_bar
+from apcc_torch.experiments.folder import RunFolder, progress_bar, warn
 from apcc_torch.model.coordinates import Coordinates
 from apcc_torch.recordings.recorded_arm import TRUNK_BASE, TRUNK_DIRECTION
 from apcc_torch.recordings.recording import detect_layout, load_recording
 from apcc_torch.recordings.replay import held_out_error, replay
-from apcc_torch.recordings.replay_log import replay_metrics
+from apcc_torch.recordings.replay_log import replay_metrics, sensor_errors
 from apcc_torch.recordings.rest_pose import calibrate
 from apcc_torch.report.replay import ReplayCurves, replay_figure
 from apcc_torch.report.style import save_figures
+from apcc_torch.simulation.divergence import sentence
 
 
 def run(config: SimulateSettings, folder: Path) -> dict[str, float]:
@@ -79,11 +80,17 @@ def run(config: SimulateSettings, folder: Path) -> dict[str, float]:
             progress=progress_bar("held out", config.progress),
         )
         metrics = replay_metrics(log, recording.names, controller.feedback, held_out)
+        linear, length = sensor_errors(log, controller.feedback).linear, calibration.rest_lengths.sum()
+        causes = build.divergence().of_model(controller, length, log.time, log.q_bar, log.pi_hat, linear)
+        metrics["diverged_rows"] = float(causes[-1].count_nonzero())
+    said = sentence(log.time, causes)
+    warn(said)
     calibration.save(folder / "calibration.json")
     metrics["wall_s"] = time.perf_counter() - started
     RunFolder(folder).write(metrics, log._asdict(), config.seed)
     if config.figures:
-        _draw(log._asdict(), folder / "figures", config.data, controller.backbone.coordinates, recording.names)
+        coordinates = controller.backbone.coordinates
+        _draw(log._asdict(), folder / "figures", config.data, coordinates, recording.names, said)
     return metrics
 
 
@@ -93,8 +100,14 @@ def redraw(config: SimulateSettings, arrays: dict[str, Tensor], into: Path, figu
 
 
 def _draw(
-    arrays: Mapping[str, Tensor], into: Path, data: str, coordinates: Coordinates, names: Sequence[str] | None = None
+    arrays: Mapping[str, Tensor],
+    into: Path,
+    data: str,
+    coordinates: Coordinates,
+    names: Sequence[str] | None = None,
+    warning: str | None = None,
 ) -> None:
     fields = ("time", "q_bar", "angular_error", "linear_error", "position_reason", "orientation_reason")
     curves = ReplayCurves(*(arrays[name] for name in fields))
-    save_figures({"replay.png": lambda: replay_figure(curves, names, Path(data).name, coordinates)}, into)
+    title = Path(data).name
+    save_figures({"replay.png": lambda: replay_figure(curves, names, title, coordinates)}, into, warning=warning)

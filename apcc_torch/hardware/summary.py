@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 
-from apcc_torch.hardware.control import Start
+from apcc_torch.hardware.control import Decision, Start
 from apcc_torch.hardware.records import Event, Outcome, Tick
 from apcc_torch.hardware.states import State
 
 STAGES = ("lateness", "read", "sense", "control", "send", "compute", "latency")
 """Times of a turn. `compute`: all stages of a turn with a step of the controller; `latency`: from that step's frame."""
+
+
+PERIOD = 0.05
+"""Least time between two decisions that are kept, s: a run may last for hours."""
 
 
 class Summary:
@@ -18,6 +22,7 @@ class Summary:
     def __init__(self) -> None:
         self.events: list[Event] = []
         self.errors: list[tuple[float, float]] = []
+        self.decisions: list[Decision] = []
         self.times: dict[str, list[float]] = {name: [] for name in STAGES}
         self.incomplete = self.clamped = 0
         self.effort = 0.0
@@ -40,6 +45,8 @@ class Summary:
             self.clamped += bool(np.abs(tick.sent - tick.requested).max() > 1e-4)
         if tick.decision is not None:
             self.errors.append((tick.decision.time, float(np.linalg.norm(tick.decision.e))))
+            if not self.decisions or tick.decision.time >= self.decisions[-1].time + PERIOD:
+                self.decisions.append(tick.decision)
             self.times["control"].append(tick.control)
             self.times["compute"].append(tick.read + tick.sense + tick.control + tick.send)
             if tick.latency is not None:

@@ -13,7 +13,9 @@ from apcc_torch.report import dynamic as figures
 from apcc_torch.report import style
 from apcc_torch.report.animation import save_animation
 from apcc_torch.report.backbone_drawing import stroboscopic_figure
+from apcc_torch.report.style import warned
 from apcc_torch.report.trade_off import TradeOff, trade_off_figure
+from apcc_torch.simulation.divergence import sentence
 
 MOMENTS = 6
 """Shapes in a stroboscopic figure."""
@@ -25,12 +27,19 @@ Draw = Callable[[Mapping[str, Outcome], str], Any]
 
 def stroboscope(runs: Mapping[str, Outcome], title: str) -> Any:
     """Both controllers' shapes of one run alone."""
-    return stroboscopic_figure({name: snapshots(o.log, o.arms, 0, MOMENTS) for name, o in runs.items()}, title=title)
+    shots = {name: snapshots(o.log, o.arms, 0, MOMENTS) for name, o in runs.items()}
+    return warned(stroboscopic_figure(shots, title=title), _warning(runs))
+
+
+def _warning(runs: Mapping[str, Outcome]) -> str | None:
+    """Which controllers' rows diverged."""
+    said = {name: sentence(o.curves.time, o.curves.diverged) for name, o in runs.items()}
+    return "\n".join(f"{name}: {text}" for name, text in said.items() if text) or None
 
 
 def drawn(figure: Callable[[figures.Runs, str], Any]) -> Draw:
     """A figure of curves as one of outcomes."""
-    return lambda runs, title: figure({name: o.curves for name, o in runs.items()}, title)
+    return lambda runs, title: warned(figure({name: o.curves for name, o in runs.items()}, title), _warning(runs))
 
 
 SHAPE, PSI = drawn(figures.shape_error_figure), drawn(figures.psi_figure)

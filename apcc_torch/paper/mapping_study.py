@@ -69,16 +69,21 @@ def curves(record: RobotLog) -> Run:
     time, e, q_bar, q_d, pi_hat, angular, linear = (
         torch.tensor(steps[name]) for name in ("time", "e", "q_bar", "q_d", "pi_hat", "angular_error", "linear_error")
     )
-    backbone = build.backbone().double()
+    controller = build.controller().double()
+    backbone = controller.backbone
+    distance = torch.linalg.vector_norm(e, dim=-1)
+    length = build.rest_lengths().sum().double()
+    diverged = build.divergence().of_model(controller, length, time, q_bar, pi_hat, linear, distance)
     records = RunCurves(
         time,
         torch.full_like(time, torch.nan).unsqueeze(-1),
         torch.linalg.vector_norm(q_bar[:, backbone.coordinates.elongations], dim=-1, keepdim=True),
         angular.unsqueeze(1),
         linear.unsqueeze(1),
-        torch.linalg.vector_norm(e, dim=-1, keepdim=True),
+        distance.unsqueeze(-1),
         pi_hat.unsqueeze(1),
         mapping_error(backbone, q_d, pi_hat, T[:, -1, :3, 3]).unsqueeze(-1),
+        diverged,
     )
     curve = SensorCurve(build.base_rotation(), build.sensors_at(), samples=20)(T[-1])
     goal = torch.tensor(record.topic("/target")["x_d"][-1])

@@ -6,13 +6,13 @@ import time
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
-from torch import Tensor
-
 from apcc_torch.composition.run_settings import SimulateSettings
 from apcc_torch.experiments.dynamic import Arms, curves, dynamic_metrics, simulate, thinned
+from apcc_torch.experiments.folder import warn
 from apcc_torch.model.arm import Lengths
 from apcc_torch.paper.best_lengths import Limits, limits
 from apcc_torch.report.dynamic import RunCurves
+from apcc_torch.simulation.divergence import sentence
 from apcc_torch.simulation.dynamic import DynamicLog
 
 HELD_OUT, SINGLE = "_held_out", "_single"
@@ -34,14 +34,14 @@ class Outcome(NamedTuple):
         time, diverged_at = timed.pop("time"), timed.pop("diverged_at")[at]
         log = DynamicLog(time=time, diverged_at=diverged_at, **{name: field[:, at] for name, field in timed.items()})
         c = RunCurves(self.curves.time, *(field[:, at] for field in self.curves[1:]))
-        return Outcome(log, self.arms, c, grid_metrics(c, log.diverged_at), self.limits.rows(at))
+        return Outcome(log, self.arms, c, grid_metrics(c), self.limits.rows(at))
 
 
 Outcomes = Mapping[str, Mapping[str, Outcome]]
 """Run -> controller ("standard", "adaptive") -> outcome."""
 
 
-def grid_metrics(c: RunCurves, diverged_at: Tensor) -> dict[str, float]:
+def grid_metrics(c: RunCurves) -> dict[str, float]:
     """The metrics of a dynamic run, and the edges of the figures' shaded bands averaged over time."""
     edges = {
         "shape_error_lower_edge_mm": 1e3 * c.shape_error.amin(1).mean(),
@@ -49,7 +49,7 @@ def grid_metrics(c: RunCurves, diverged_at: Tensor) -> dict[str, float]:
         "psi_lower_edge_cm": 1e2 * c.psi.amin(1).mean(),
         "psi_upper_edge_cm": 1e2 * c.psi.amax(1).mean(),
     }
-    return dynamic_metrics(c, diverged_at) | {name: float(value) for name, value in edges.items()}
+    return dynamic_metrics(c) | {name: float(value) for name, value in edges.items()}
 
 
 def outcome(config: SimulateSettings, adaptive: bool, label: str) -> Outcome:
@@ -67,7 +67,8 @@ def outcome(config: SimulateSettings, adaptive: bool, label: str) -> Outcome:
     log, arms = simulate(config, adaptive, label)
     thin = thinned(log)
     c = curves(thin, arms)
-    metrics = grid_metrics(c, thin.diverged_at)
+    metrics = grid_metrics(c)
+    warn(sentence(c.time, c.diverged), label)
     best = limits(config, thin, arms)
     return Outcome(thin, arms, c, metrics | {"wall_s": time.perf_counter() - started}, best)
 

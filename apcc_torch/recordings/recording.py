@@ -34,7 +34,7 @@ from apcc_torch.files import write_atomically
 from apcc_torch.lie.rotations import quaternion_rotation
 from apcc_torch.plain_text import for_spreadsheet
 from apcc_torch.recordings.csv_table import CsvTable, read_table
-from apcc_torch.shapes import check_tensor
+from apcc_torch.shapes import check_stamps, check_tensor
 
 _POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
 _TARGET = ("target_x", "target_y", "target_z")
@@ -78,7 +78,7 @@ class Recording:
         for name in self.names:
             if not name or set(name) & set(',"\r\n') or name == "target" or self.names.count(name) > 1:
                 raise DataError(f"names must be unique, without commas or quotes and none 'target', got {name!r}")
-        T, k = len(check_tensor("times", self.times, (None,))), len(self.names)
+        T, k = len(check_stamps("times", check_tensor("times", self.times, (None,)))), len(self.names)
         check_tensor("position", self.position, (T, k, 3))
         check_tensor("quaternion", self.quaternion, (T, k, 4))
         if self.tracked.shape != (T, k) or self.tracked.dtype != torch.bool:

@@ -144,8 +144,11 @@ def read_folder(folder: Path, base: Path) -> list[Run]:
             return list(read_points(folder, run, "" if folder == base else f"{run.name}/"))
     except (ApccError, OSError) as error:
         return [replace(run, status=BROKEN, metrics={}, note=str(error))]
-    note = "" if (folder / "trajectory.npz").is_file() else "trajectory.npz is missing"
-    return [replace(run, folder=folder, note=note)]
+    lost = run.metrics.get("diverged_rows", 0.0)
+    notes = [f"{lost:.0f} of {run.metrics.get('rows', 1.0):.0f} rows diverged"] if lost else []
+    if not (folder / "trajectory.npz").is_file():
+        notes.append("trajectory.npz is missing")
+    return [replace(run, folder=folder, note=", ".join(notes))]
 
 
 def fate(folder: Path) -> tuple[str, str]:

@@ -1,7 +1,7 @@
 """Figures of the dynamic simulations, section V-B and appendix A: controllers compared over a grid of runs.
 
 A line is the mean over the runs and its band reaches from their minimum to their maximum at each moment; a single run
-has no band. Runs that diverged (any value not finite) are left out, and a legend that counts fewer runs says so.
+has no band. Runs with a value that is not finite are left out, and a legend that counts fewer runs says so.
 """
 
 from __future__ import annotations
@@ -32,6 +32,7 @@ class RunCurves(NamedTuple):
     e: (T, R) m, norm of the end-effector error.
     pi_hat: (T, R, n_b) m, parameter estimates.
     mapping_error: (T, R) m, Eq. (53).
+    diverged: (T, R) int64, the causes by which a run has diverged until then; 0 for none.
     """
 
     time: Tensor
@@ -42,6 +43,7 @@ class RunCurves(NamedTuple):
     e: Tensor
     pi_hat: Tensor
     mapping_error: Tensor
+    diverged: Tensor
 
     def run(self, index: int) -> RunCurves:
         """One run alone, as curves of one run."""
@@ -69,7 +71,7 @@ def check_runs(runs: Runs) -> None:
     for name, curves in runs.items():
         T = len(check_tensor(f"{name}.time", curves.time, (None,)))
         R = curves.e.shape[-1] if curves.e.dim() else 0
-        for field in ("shape_error", "psi", "e", "mapping_error"):
+        for field in ("shape_error", "psi", "e", "mapping_error", "diverged"):
             _check_field(f"{name}.{field}", getattr(curves, field), (T, R))
         for field in ("angular", "linear", "pi_hat"):
             value = getattr(curves, field)
@@ -251,7 +253,7 @@ def end_effector_figure(runs: Runs, tolerance: float = 0.01, title: str = "") ->
     """End-effector error in mm over time, and the share of runs that have settled within a tolerance.
 
     Args:
-        runs: Controllers and their runs; here a diverged run counts as one that never settles.
+        runs: Controllers and their runs; here a run that is not finite counts as one that never settles.
         tolerance: Error that counts as settled, m.
         title: Text over the left axes.
     """

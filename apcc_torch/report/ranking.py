@@ -18,12 +18,15 @@ HEADLINES = (
     "shape_error_end_mm",
     "shape_error_last5s_max_mm",
     "pi_error_end_max_mm",
+    "pi_drift_end_max_mm",
     "psi_mean_cm",
     "sensor_error_linear_mean_mm",
     "settled_share",
     "settling_mean_s",
 )
 """The metrics that say most, first the one that ranks unless another is asked for."""
+DIVERGED = "diverged_rows"
+"""A run with any ranks last, whatever its other metrics are."""
 HIGHER_IS_BETTER = ("settled_share",)
 LISTED = 10
 """Most runs that the terminal remarks on."""
@@ -49,22 +52,24 @@ def choose_metric(table: RunTable, asked: str | None = None) -> str:
 def headline_columns(table: RunTable, metric: str) -> list[Column]:
     """The ranking metric and the headlines the runs have, then wall time; diverged rows where there are any."""
     present = {column.name: column for column in table.of_kind(METRIC)}
-    diverged = present.get("diverged_rows")
+    diverged = present.get(DIVERGED)
     names = [metric, *HEADLINES]
     if diverged is not None and any(diverged.cells):
-        names.insert(1, "diverged_rows")
+        names.insert(1, DIVERGED)
     return [present[name] for name in dict.fromkeys([*names, WALL]) if name in present]
 
 
 def ranked(table: RunTable, metric: str, descending: bool = False) -> list[int]:
-    """Row numbers of the complete runs from best to worst; runs without a finite value come last."""
+    """Row numbers of the complete runs from best to worst; those that diverged, or have no finite value, come last."""
     cells = table.column(metric).cells
+    diverged = next((column.cells for column in table.of_kind(METRIC) if column.name == DIVERGED), [None] * len(table))
     complete = [k for k, status in enumerate(table.column("status").cells) if status == COMPLETE]
 
-    def place(k: int) -> tuple[bool, float]:
+    def place(k: int) -> tuple[bool, bool, float]:
         value = cells[k]
         finite = isinstance(value, int | float) and math.isfinite(value)
-        return (not finite, 0.0 if not finite else (-1.0 if descending else 1.0) * float(value))  # type: ignore[arg-type]
+        signed = (-1.0 if descending else 1.0) * float(value) if finite else 0.0  # type: ignore[arg-type]
+        return bool(diverged[k]), not finite, signed
 
     return sorted(complete, key=place)
 

@@ -173,13 +173,16 @@ def save_figure(figure: Figure, path: Path | str, dpi: float = DPI) -> Path:
     return write_atomically(target, buffer.getvalue())
 
 
-def save_figures(figures: Mapping[str, Draw], folder: Path | str, dpi: float = DPI) -> list[Path]:
+def save_figures(
+    figures: Mapping[str, Draw], folder: Path | str, dpi: float = DPI, warning: str | None = None
+) -> list[Path]:
     """Draws and writes a set into one folder; a figure that fails is told, and the others go on.
 
     Args:
         figures: File name -> what draws the figure.
         folder: Where to; made if it is not there.
         dpi: Pixels an inch.
+        warning: Stands below each of them.
 
     Returns:
         The files that are there.
@@ -187,5 +190,12 @@ def save_figures(figures: Mapping[str, Draw], folder: Path | str, dpi: float = D
     paths = []
     for name, draw in figures.items():
         with attempt(name):
-            paths.append(save_figure(draw(), Path(folder) / name, dpi))
+            paths.append(save_figure(warned(draw(), warning), Path(folder) / name, dpi))
     return paths
+
+
+def warned(figure: Figure, warning: str | None) -> Figure:
+    """The figure with a warning below it: that what it shows diverged."""
+    if warning:
+        figure.supxlabel(warning, fontsize=LABEL, color=SENSOR, fontweight="bold", wrap=True)
+    return figure

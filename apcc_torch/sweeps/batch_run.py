@@ -87,13 +87,16 @@ def run(config: SimulateSettings, points: Sequence[Point], folder: Path) -> dict
     _keep([points[index] for index in chosen(order, kept)], parts, folder, config)
     write_atomically(folder / "points.csv", table(points, whole))
     write_json(folder / "versions.json", {**versions(), "seed": config.seed})
-    diverged = sum(not is_finite(metrics, objective) for metrics in whole.metrics.values())
+    diverged = [index for index in sorted(whole.metrics) if not is_finite(whole.metrics[index], objective)]
+    if diverged:
+        named = ", ".join(map(str, diverged[:10])) + (", …" if len(diverged) > 10 else "")
+        log.warning("%d of %d points diverged: %s", len(diverged), len(points), named)
     totals = {
         objective: whole.metrics[order[0]][objective],
         "best_point": order[0],
         "points": len(points),
         "failed_points": len(whole.failed),
-        "diverged_points": diverged,
+        "diverged_points": len(diverged),
         "wall_s": time.perf_counter() - started,
     }
     write_json(folder / METRICS, totals)

@@ -17,6 +17,7 @@ from apcc_torch.control.length_bounds import LengthBounds
 from apcc_torch.control.length_law import LawStep, LengthLaw
 from apcc_torch.control.step_io import Command, ControllerState, Measurement, Target
 from apcc_torch.control.task_integral import TaskIntegral
+from apcc_torch.control.tendon_limits import SolverStatus
 from apcc_torch.errors import ConfigError, DtypeError, ShapeError, ValueRangeError
 from apcc_torch.estimation.feedback import FeedbackStatus
 from apcc_torch.estimation.pose_filter import PoseFilter
@@ -297,6 +298,29 @@ def test_bad_rows_leave_their_neighbours() -> None:
     tip = T[:, -1, :3, 3].clone()
     measurement = Measurement(T, stamp(0.02).expand(4), None, None, tip)
     check_bad_row(c, (state, measurement, target))
+
+
+@pytest.mark.parametrize("compiled", [False, True], ids=["eager", "compiled"])
+def test_a_target_that_is_not_finite_holds_its_row_and_no_other(compiled: bool) -> None:
+    q, T, target = scene(4)
+    c = controller(routing=rack_routing(PI.cumsum(0)), integral=TaskIntegral(gain=0.5), feedback={"max_iterations": 2})
+    step = torch.compile(c, fullgraph=True, backend="aot_eager") if compiled else c
+    state, _ = c(c.initial_state(q, PI_HAT.expand(4, 3)), Measurement(T, stamp(0.01)), target)
+    measurement = Measurement(T, stamp(0.02))
+    with torch.no_grad():
+        want, wanted = step(state, measurement, target)
+        assert wanted.limits.tolist() == [SolverStatus.FREE] * 4
+        for name, bad in (("x_d", torch.nan), ("x_d", torch.inf), ("xdot_d", torch.nan), ("xdot_d", -torch.inf)):
+            field = getattr(target, name).clone()
+            field[2, 1] = bad
+            later, command = step(state, measurement, target._replace(**{name: field}))
+            assert torch.equal(later.q_d[2], state.q_d[2]) and not command.qdot[2].any()
+            assert command.limits.tolist() == [0, 0, SolverStatus.NOT_FINITE, 0]
+            assert all(torch.isfinite(leaf[2]).all() for leaf in leaves(later) if leaf.dim() and len(leaf) == 4)
+            others = [0, 1, 3]
+            for a, b in zip(leaves((later, command)), leaves((want, wanted)), strict=True):
+                if a.dim() and len(a) == 4:
+                    assert torch.equal(bits(a[others]), bits(b[others]))
 
 
 def test_nonsense_does_not_stay() -> None:

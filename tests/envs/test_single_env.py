@@ -11,6 +11,7 @@ import pytest
 import torch
 from gymnasium.utils.env_checker import check_env
 
+from apcc_torch.envs import TruncatedReason
 from apcc_torch.errors import ConfigError
 from arm_rows import IDS, make
 
@@ -57,8 +58,23 @@ def test_it_is_row_0_of_the_batch() -> None:
 def test_the_time_limit_is_gymnasiums() -> None:
     env = gymnasium.make("apcc/Reach-v0", max_episode_steps=3)
     env.reset(seed=0)
-    flags = [env.step(np.zeros(9, dtype=np.float32))[3] for _ in range(3)]
-    assert flags == [False, False, True]
+    steps = [env.step(np.zeros(9, dtype=np.float32)) for _ in range(3)]
+    assert [step[3] for step in steps] == [False, False, True]
+    reasons = [step[4]["truncated_reason"] for step in steps]
+    assert reasons == [TruncatedReason.NONE, TruncatedReason.NONE, TruncatedReason.TIME_LIMIT]
+
+
+def test_a_reason_of_its_own_goes_before_the_time_limit_and_a_new_wrapper_has_a_new_one() -> None:
+    env = gymnasium.make("apcc/Reach-v0", max_episode_steps=1)
+    env.reset(seed=0)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of Gymnasium, on the action
+        info = env.step(np.full(9, np.nan, dtype=np.float32))[4]
+    assert info["truncated_reason"] == TruncatedReason.NOT_FINITE
+    longer = gymnasium.wrappers.TimeLimit(env.unwrapped, 2)
+    longer.reset(seed=0)
+    reasons = [longer.step(np.zeros(9, dtype=np.float32))[4]["truncated_reason"] for _ in range(2)]
+    assert reasons == [TruncatedReason.NONE, TruncatedReason.TIME_LIMIT]
 
 
 def test_the_module_may_be_named_in_the_id() -> None:

@@ -175,6 +175,26 @@ def test_a_row_that_leaves_its_bounds_is_truncated() -> None:
 
 
 @pytest.mark.parametrize("dynamics", BOTH)
+def test_a_row_whose_model_runs_away_is_truncated_alone(dynamics: str) -> None:
+    given: dict[str, Any] = {"divergence": {"elongation": 0.3}, "estimate": (1.0, 1.0), "autoreset_mode": "DISABLED"}
+    one, other = (make(action="adaptation", dynamics=dynamics, **given) for _ in range(2))
+    for envs in (one, other):
+        envs.reset(seed=0)
+        envs.step(actions(envs))
+    assert one.state is not None and one.state.controller is not None
+    # A model that is too short has to stretch to reach the sensors.
+    pi_hat = one.state.controller.pi_hat.clone()
+    pi_hat[3] *= 0.7
+    one.state = one.state._replace(controller=one.state.controller._replace(pi_hat=pi_hat))
+    _, _, _, truncated, info = one.step(actions(one, 1))
+    other.step(actions(other, 1))
+    assert truncated.tolist() == [i == 3 for i in range(6)]
+    assert int(info["truncated_reason"][3]) == TruncatedReason.DIVERGED
+    good = torch.arange(6) != 3
+    assert same(state_rows(one, good), state_rows(other, good))
+
+
+@pytest.mark.parametrize("dynamics", BOTH)
 def test_single_precision_follows_double(dynamics: str) -> None:
     ends = [run(make(dynamics=dynamics, dtype=dtype, **ALL), 20)[-7] for dtype in ("float32", "float64")]
     assert float((ends[0][:, :9] - ends[1][:, :9]).abs().max()) < 1e-4

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
+
 import numpy as np
 import pytest
 import torch
@@ -191,6 +193,20 @@ def test_gradients(count: int) -> None:
     mask[-1] = True
     op(samples.masked_fill(mask, torch.nan))[0].sum().backward()
     assert samples.grad is not None and bool(samples.grad.isfinite().all())
+
+
+@pytest.mark.parametrize(("dtype", "coarse"), [(torch.float32, True), (torch.float64, False)])
+def test_stamps_that_cannot_tell_a_period_are_refused_at_the_start_and_warned_of_later(
+    dtype: torch.dtype, coarse: bool
+) -> None:
+    f, epoch, sample = SavitzkyGolay(5, 2), torch.tensor(1.7e9, dtype=dtype), torch.zeros(2, dtype=torch.float32)
+    fault = "time is torch.float32, which has steps of 128 s at 1.7e[+]09 s; hand in float64"
+    with pytest.raises(ValueRangeError, match=fault) if coarse else nullcontext():
+        f.initial_state(sample, epoch)
+    state = f.initial_state(sample, torch.tensor(0.0, dtype=dtype))
+    with pytest.warns(UserWarning, match=fault) if coarse else nullcontext():
+        f(state, sample, epoch)
+    f(state, sample, torch.tensor(3600.0, dtype=dtype))  # an hour is told well enough
 
 
 def test_gradient_in_the_stamps() -> None:

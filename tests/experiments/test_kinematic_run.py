@@ -11,9 +11,12 @@ import pytest
 import torch
 
 from apcc_torch.composition.stacking import stacked
+from apcc_torch.control.controller import APCCController
 from apcc_torch.errors import ApccError
 from apcc_torch.experiments import kinematic
+from apcc_torch.model.arm import Arm
 from apcc_torch.model.backbone import PCCBackbone
+from apcc_torch.simulation.divergence import Divergence
 from apcc_torch.simulation.kinematic import KinematicLog
 from arms import HANGING_BASE, PI
 from composed import changed
@@ -111,8 +114,11 @@ def test_metrics_by_hand() -> None:
     pi_hat = (PI + torch.tensor([0.0, 0.003, -0.005], dtype=torch.float64)).expand(3, 2, 3)
     time, status = torch.arange(3, dtype=torch.float64), torch.zeros(3, 2, dtype=torch.int64)
     log = KinematicLog(time, x_d, x, zero, q_bar, zero, pi_hat, errors, errors, status)
-    metrics = kinematic.kinematic_metrics(log, backbone, PI)
-    assert metrics["end_effector_error_end_mm"] == metrics["end_effector_error_last5s_max_mm"] == pytest.approx(4.0)
+    controller = APCCController.for_arm(Arm(lengths=PI.tolist()))
+    outcome = kinematic.Outcome(log, PI, controller, Divergence())
+    metrics = kinematic.kinematic_metrics(outcome)
+    assert metrics["end_effector_error_end_max_mm"] == metrics["end_effector_error_last5s_max_mm"] == pytest.approx(4.0)
+    assert metrics["end_effector_error_end_mm"] == pytest.approx(2.0)
     assert metrics["end_effector_error_mean_mm"] == pytest.approx(4.0 / 6)
     assert metrics["psi_max_cm"] == pytest.approx(0.5) and metrics["psi_mean_cm"] == pytest.approx(0.5 / 6)
     assert metrics["sensor_error_linear_mean_mm"] == pytest.approx(1.5)
@@ -124,7 +130,16 @@ def test_metrics_by_hand() -> None:
     assert metrics["shape_error_max_mm"] == pytest.approx(2.5)
     assert (metrics["rows"], metrics["diverged_rows"]) == (2.0, 0.0)
     lost = log._replace(x_d=x_d + torch.tensor([0.0, 1.0], dtype=torch.float64).view(2, 1))
-    assert kinematic.kinematic_metrics(lost, backbone, PI)["diverged_rows"] == 1.0
+    assert kinematic.kinematic_metrics(outcome._replace(log=lost))["diverged_rows"] == 1.0
+
+
+def test_a_run_that_runs_away_says_so_and_keeps_its_numbers(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    # One sensor at the tip of three sections: what it measures leaves open how long each of them is.
+    metrics = run(tmp_path, "arm.sensors=[0.6]", "experiment.duration=2.0", "controller.rate=100")
+    assert metrics["diverged_rows"] == 1.0
+    assert "1 of 1 rows diverged: row 0 from" in caplog.text and "elongation" in caplog.text
+    assert json.loads((tmp_path / "metrics.json").read_text())["diverged_rows"] == 1.0
+    assert (tmp_path / "trajectory.npz").is_file()
 
 
 @pytest.mark.parametrize(

@@ -210,8 +210,8 @@ def test_single_row_of_the_grid_is_the_run_alone(
 
 def test_standard_controller_keeps_its_parameters(results: dict[str, Outcomes]) -> None:
     for both in results["A"].values():
-        assert both["standard"].metrics["pi_error_end_max_mm"] == 0.0
-        assert both["adaptive"].metrics["pi_error_end_max_mm"] > 0.0
+        assert both["standard"].metrics["pi_drift_end_max_mm"] == 0.0
+        assert both["adaptive"].metrics["pi_drift_end_max_mm"] > 0.0
 
 
 def test_table_has_the_documented_form(results: dict[str, Outcomes]) -> None:

@@ -10,7 +10,7 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
-from apcc_torch.errors import ApccError, ConfigError, DataError, ShapeError
+from apcc_torch.errors import ApccError, ConfigError, DataError, ShapeError, ValueRangeError
 from apcc_torch.lie.rotations import quaternion_rotation
 from apcc_torch.recordings.recording import Recording, load_recording, save_recording
 from laws import check_batching, generator, normal
@@ -138,6 +138,14 @@ def test_files_that_are_not_there_or_not_text(tmp_path: Path) -> None:
         load_recording(tmp_path, "other")
     with pytest.raises(ConfigError, match="rate"):
         load_recording(tmp_path, "trunk", rate=0.0)
+
+
+def test_stamps_that_cannot_tell_frames_apart_are_refused() -> None:
+    place, turn = torch.zeros(3, 1, 3), torch.tensor([0.0, 0.0, 0.0, 1.0]).expand(3, 1, 4)
+    epoch = 1.7e9 + torch.arange(3, dtype=torch.float64) / 100
+    Recording(("tip",), epoch, place, turn, torch.ones(3, 1).bool())
+    with pytest.raises(ValueRangeError, match=r"times is torch.float32, which has steps of 128 s at 1.7e\+09 s"):
+        Recording(("tip",), epoch.float(), place, turn, torch.ones(3, 1).bool())
 
 
 def test_a_recording_checks_its_shapes() -> None:

@@ -29,7 +29,7 @@ def curves(seconds: float) -> RunCurves:
     time = torch.linspace(0.0, seconds, 31, dtype=torch.float64)
     e = (0.1 * torch.exp(-time)).unsqueeze(-1)
     three = e.unsqueeze(-1).expand(31, 1, 3)
-    return RunCurves(time, e, e, three, three, e, three, e)
+    return RunCurves(time, e, e, three, three, e, three, e, torch.zeros_like(e).long())
 
 
 def test_norms_are_means_over_the_runs_as_long_as_they_last() -> None:

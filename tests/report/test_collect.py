@@ -33,6 +33,12 @@ def test_a_complete_run_has_its_settings_metrics_and_folder(tmp_path: Path, writ
     assert collect([folder]).runs[0].name == "a"
 
 
+def test_a_run_with_diverged_rows_says_so(tmp_path: Path, write_run: WriteRun) -> None:
+    write_run(tmp_path / "a", SETTINGS, {"m": 1.0, "rows": 30.0, "diverged_rows": 2.0})
+    write_run(tmp_path / "b", SETTINGS, {"m": 1.0, "rows": 30.0, "diverged_rows": 0.0})
+    assert {name: run.note for name, run in by_name(tmp_path).items()} == {"a": "2 of 30 rows diverged", "b": ""}
+
+
 def test_what_is_not_complete_is_listed_with_why(tmp_path: Path, write_run: WriteRun) -> None:
     write_run(tmp_path / "0", SETTINGS, {"m": 1.0})
     write_run(tmp_path / "1", SETTINGS)

@@ -24,7 +24,17 @@ def curves(seed: int, T: int = 21, R: int = 5, k: int = 3, adapts: bool = True) 
     pi_hat = torch.tensor([0.105, 0.255, 0.24], dtype=torch.float64).expand(T, R, 3)
     pi_hat = pi_hat + draw(T, R, 3) if adapts else pi_hat
     time = torch.linspace(0.0, 10.0, T, dtype=torch.float64)
-    return RunCurves(time, draw(T, R), draw(T, R), draw(T, R, k), draw(T, R, k), draw(T, R), pi_hat, draw(T, R))
+    return RunCurves(
+        time,
+        draw(T, R),
+        draw(T, R),
+        draw(T, R, k),
+        draw(T, R, k),
+        draw(T, R),
+        pi_hat,
+        draw(T, R),
+        torch.zeros(T, R).long(),
+    )
 
 
 @pytest.fixture

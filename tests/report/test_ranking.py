@@ -31,6 +31,21 @@ def test_finite_values_come_first_in_order(values: list[float], descending: bool
     assert all(math.isfinite(values[k]) for k in order[: len(finite)])
 
 
+def test_a_run_with_diverged_rows_is_last_whatever_its_metric() -> None:
+    runs = [
+        Run(name, "complete", metrics={"psi_mean_cm": psi, "diverged_rows": lost})
+        for name, psi, lost in (
+            ("a", 3.0, 0.0),
+            ("b", 1.0, 2.0),
+            ("c", 2.0, 0.0),
+            ("d", math.nan, 0.0),
+            ("e", 0.5, 1.0),
+        )
+    ]
+    assert ranked(tidy(runs), "psi_mean_cm") == [2, 0, 3, 4, 1]
+    assert ranked(tidy(runs), "psi_mean_cm", descending=True) == [0, 2, 3, 1, 4]
+
+
 def test_the_metric_is_the_one_asked_for_or_the_most_telling() -> None:
     table = table_of([1.0], psi_mean_cm=2.0)
     assert choose_metric(table) == "shape_error_mean_mm" and choose_metric(table, "psi_mean_cm") == "psi_mean_cm"

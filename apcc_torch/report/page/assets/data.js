@@ -63,12 +63,13 @@ function distinct(column, rows) {
   return column.number ? found.sort((a, b) => a - b) : found.sort(new Intl.Collator("en", { numeric: true }).compare);
 }
 
-// Complete rows by the page's metric, best first; what is not finite comes last.
+// Complete rows by the page's metric, best first; what diverged or is not finite comes last.
 function ranked(rows) {
   const cells = byName.get(state.metric).cells;
   const sign = state.descending ? -1 : 1;
   const place = (row) => (Number.isFinite(cells[row]) ? sign * cells[row] : Infinity);
-  return rows.filter((row) => statuses[row] === "complete").sort((a, b) => place(a) - place(b) || a - b);
+  const lost = (row) => Number(byName.get("diverged_rows")?.cells[row] > 0);
+  return rows.filter((row) => statuses[row] === "complete").sort((a, b) => lost(a) - lost(b) || place(a) - place(b) || a - b);
 }
 
 function median(values) {
