@@ -39,6 +39,7 @@ from apcc_torch.model.constant_strain import ConstantStrainBackbone
 from apcc_torch.model.friction import TendonTransmission, TendonTransmissionSettings
 from apcc_torch.part import Configurable, Part, part_of, row_tensors
 from apcc_torch.settings import Setting, Settings, about_of, default_of, resolved, setting
+from apcc_torch.simulation.divergence import Divergence
 from apcc_torch.simulation.plant import Plant, PlantSettings
 from apcc_torch.simulation.sensors import PoseSensors
 from apcc_torch.spread import Numbers
@@ -209,6 +210,7 @@ MAKE: dict[type[Part], Callable[..., Part]] = {
     APCCController: controller,
     CompositeController: lambda **s: CompositeController(controller(), **s),
     ConstantStrainBackbone: lambda **s: ConstantStrainBackbone(3, HANGING_BASE, **s),
+    Divergence: Divergence,
     InverseKinematics: lambda **s: InverseKinematics(n_sections=3, **s),
     LengthBank: lambda **s: LengthBank(PI, feedback(), **s),
     LengthBounds: lambda **s: LengthBounds(PI, X, **s),
