@@ -6,11 +6,13 @@ import io
 import json
 import os
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import numpy as np
 from torch import Tensor
+
+from apcc_torch.errors import WriteError
 
 
 @contextmanager
@@ -18,15 +20,21 @@ def draft_of(path: Path | str) -> Iterator[Path]:
     """A name beside `path`, with its suffix, to write to: moved into place if the block ends well, else removed.
 
     The folder is made if it is not there.
+
+    Raises:
+        WriteError: The system does not take it.
     """
     path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
     draft = path.with_name(f".{path.stem}.{os.getpid()}.draft{path.suffix}")
     try:
+        path.parent.mkdir(parents=True, exist_ok=True)
         yield draft
         os.replace(draft, path)
+    except OSError as error:
+        raise WriteError(f"{path} cannot be written: {error.strerror or error}") from error
     finally:
-        draft.unlink(missing_ok=True)
+        with suppress(OSError):  # nor is there a draft where there is no folder
+            draft.unlink()
 
 
 def write_atomically(path: Path | str, content: bytes | str) -> Path:

@@ -23,7 +23,7 @@ MAX_LINES = 330
 # never another unit of its own line. The longest name wins: "report.__main__" is a program, the rest of report is not.
 LAYERS: tuple[tuple[str, ...], ...] = (
     ("errors",),
-    ("conf_path", "files", "modes", "spread"),
+    ("conf_path", "files", "modes", "processes", "spread"),
     ("settings", "shapes"),
     ("part",),
     ("classes",),

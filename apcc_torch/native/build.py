@@ -15,6 +15,7 @@ from typing import Any
 
 from apcc_torch.errors import CompileError
 from apcc_torch.native.source import Source
+from apcc_torch.processes import process_group
 
 # Values that are not numbers keep their meaning, so no -ffast-math; errno and traps are nobody's business here.
 FLAGS = ("-std=c++17", "-march=native", "-fPIC", "-fno-math-errno", "-fno-trapping-math", "-Wno-psabi")
@@ -103,20 +104,24 @@ def _compile(cxx: str, source: Source, folder: Path, library: Path) -> None:
     for k, body in enumerate(source.parts):
         (folder / f"{k}.cpp").write_text(f'#include "header.hpp"\n{body}')
         objects.append(folder / f"{k}.o")
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
+    made = folder / "made.so"
+    with ThreadPoolExecutor(os.cpu_count()) as pool, process_group() as group:
         jobs = [
-            pool.submit(_run, [cxx, *flags(source.lanes), "-c", str(o.with_suffix(".cpp")), "-o", str(o)])
+            pool.submit(_run, [cxx, *flags(source.lanes), "-c", str(o.with_suffix(".cpp")), "-o", str(o)], group)
             for o in objects
         ]
-        for job in jobs:
-            job.result()
-    made = folder / "made.so"
-    _run([cxx, "-shared", "-pthread", *map(str, objects), "-o", str(made)])
+        try:
+            for job in jobs:
+                job.result()
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
+        _run([cxx, "-shared", "-pthread", *map(str, objects), "-o", str(made)], group)
     made.replace(library)  # whole or not at all, whoever else builds the same
 
 
-def _run(command: list[str]) -> None:
-    done = subprocess.run(command, capture_output=True, text=True)
+def _run(command: list[str], group: int) -> None:
+    done = subprocess.run(command, capture_output=True, text=True, process_group=group)
     if done.returncode:
         raise CompileError(f"{command[0]} failed: {done.stderr.strip()[-2000:]}")
 
