@@ -72,7 +72,9 @@ def again(*changes: str) -> str:
     """The command that began this program, with keys changed, to be pasted into a shell."""
     keys = {change.partition("=")[0] for change in changes}
     kept = [word for word in sys.orig_argv if word.partition("=")[0].lstrip("+") not in keys]
-    return shlex.join([*kept, *changes])
+    # Beside the others: hydra takes no key behind an option that follows keys.
+    at = max((i for i, word in enumerate(kept, 1) if "=" in word and not word.startswith("-")), default=len(kept))
+    return shlex.join([*kept[:at], *changes, *kept[at:]])
 
 
 def end_with(pid: int) -> None:

@@ -136,13 +136,16 @@ def test_a_folder_that_cannot_be_is_named(tmp_path: Path, name: str) -> None:
 @given(st.text(st.sampled_from("aZ0 _-./\\'\"[]{}()*?,=:~$@#%&|;<>!`+é\t\n"), min_size=1, max_size=12))
 def test_a_pasted_command_names_the_same_folder(name: str) -> None:
     folder = Path("/" + name)
-    was, sys.orig_argv = sys.orig_argv, ["python", "-m", "p", "resume=false", "a.b=[1,2]", "hydra.sweep.dir='o l d'"]
+    was, sys.orig_argv = (
+        sys.orig_argv,
+        ["python", "-m", "p", "resume=false", "a.b=[1,2]", "hydra.sweep.dir='o l d'", "-m"],
+    )
     try:
         words = shlex.split(again("resume=true", dir_override("hydra.sweep.dir", folder)))
     finally:
         sys.orig_argv = was
-    assert words[:-1] == ["python", "-m", "p", "a.b=[1,2]", "resume=true"]
-    override = OverridesParser.create().parse_override(words[-1])
+    assert [*words[:5], *words[6:]] == ["python", "-m", "p", "a.b=[1,2]", "resume=true", "-m"]
+    override = OverridesParser.create().parse_override(words[5])
     assert not override.is_sweep_override()
     assert Path(OmegaConf.create({"dir": override.value()}).dir) == folder
 

@@ -96,6 +96,23 @@ def test_a_failed_job_is_kept_apart_until_it_ends_well(sweep: SweepFolder) -> No
     assert [f.folder.name for f in sweep.failures()] == ["2.failed"]
 
 
+def test_a_full_disk_costs_the_reason_and_no_more(sweep: SweepFolder, monkeypatch: pytest.MonkeyPatch) -> None:
+    work, seed_2 = draft(sweep, "1"), ["seed=2"]
+    plan = Plan(2, frozenset({"seed"}), [["seed=1"], seed_2])
+    sweep.publish(draft(sweep, "0"), settings("seed=1"), ["seed=1"])
+
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    with monkeypatch.context() as disk:
+        disk.setattr(os, "fsync", full)
+        assert job.run_job(raw(*KINEMATIC, "seed=2"), work, seed_2, "simulate.log") == math.inf
+    failures = sweep.failures()
+    assert [failure.folder.name for failure in failures] == ["1.failed"] and not list(sweep.drafts())
+    assert failures[0].why == "for a reason that could not be recorded"
+    return sweep, plan
+
+
 def test_clearing_takes_what_is_not_finished_and_nothing_else(sweep: SweepFolder) -> None:
     place = sweep.publish(draft(sweep, "0"), settings(), [])
     draft(sweep, "1")
