@@ -54,7 +54,7 @@ class FolderSettings(Settings):
 
 
 @dataclass(frozen=True, kw_only=True)
-class RunSettings(ControlSettings, FolderSettings):
+class RunSettings(FolderSettings, ControlSettings):
     """What a run has, in simulation and on an arm alike: the arm, its controller, the true arm, the experiment."""
 
     arm: Arm = setting(meaning="the arm, as it is believed to be")
