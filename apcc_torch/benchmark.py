@@ -27,6 +27,7 @@ from apcc_torch.files import write_atomically
 from apcc_torch.paper import benchmark_run as paper
 from apcc_torch.plain_text import for_terminal
 from apcc_torch.reading import plain
+from apcc_torch.sweeps.claim import held_folder
 
 log = logging.getLogger("apcc_torch.benchmark")
 
@@ -96,9 +97,10 @@ def _hydra_main(cfg: DictConfig) -> None:
 
 def main() -> None:
     """Console entry point."""
-    with one_sentence(lambda said: sys.stderr.write(f"apcc_torch.benchmark: {said}\n")):
-        check_words(sys.argv[1:], BenchmarkSettings)
-    _hydra_main()
+    with held_folder():
+        with one_sentence(lambda said: sys.stderr.write(f"apcc_torch.benchmark: {said}\n")):
+            check_words(sys.argv[1:], BenchmarkSettings)
+        _hydra_main()
 
 
 if __name__ == "__main__":

@@ -41,6 +41,10 @@ class DataError(ApccError, ValueError):
     """A recording or a run folder is missing, truncated or not in the documented layout."""
 
 
+class WriteError(ApccError, OSError):
+    """A file cannot be written: the disk is full, the folder is another user's, a folder has its name."""
+
+
 class HardwareError(ApccError, RuntimeError):
     """A device is missing, is not the one configured, does not answer, or reports a fault."""
 

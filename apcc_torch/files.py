@@ -12,7 +12,7 @@ import os
 import re
 import zipfile
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +21,7 @@ import torch
 import yaml
 from torch import Tensor
 
-from apcc_torch.errors import DataError, in_a_line
+from apcc_torch.errors import DataError, WriteError, in_a_line
 
 MOST_TEXT, MOST_ARRAYS = 2**26, 2**32
 """Largest text that is read, and largest set of arrays once they are unpacked, bytes."""
@@ -42,15 +42,21 @@ def draft_of(path: Path | str) -> Iterator[Path]:
     """A name beside `path`, with its suffix, to write to: moved into place if the block ends well, else removed.
 
     The folder is made if it is not there.
+
+    Raises:
+        WriteError: The system does not take it.
     """
     path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
     draft = path.with_name(f".{path.stem}.{os.getpid()}.draft{path.suffix}")
     try:
+        path.parent.mkdir(parents=True, exist_ok=True)
         yield draft
         os.replace(draft, path)
+    except OSError as error:
+        raise WriteError(f"{path} cannot be written: {error.strerror or error}") from error
     finally:
-        draft.unlink(missing_ok=True)
+        with suppress(OSError):  # nor is there a draft where there is no folder
+            draft.unlink()
 
 
 def write_atomically(path: Path | str, content: bytes | str) -> Path:

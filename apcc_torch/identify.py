@@ -20,6 +20,7 @@ from apcc_torch.conf_path import conf_path
 from apcc_torch.errors import ConfigError, one_sentence
 from apcc_torch.experiments import identification
 from apcc_torch.plain_text import for_terminal
+from apcc_torch.sweeps.claim import held_folder
 
 log = logging.getLogger("apcc_torch.identify")
 
@@ -57,10 +58,11 @@ def with_arm(arguments: Sequence[str]) -> list[str]:
 
 def main() -> None:
     """Console entry point."""
-    with one_sentence(lambda said: sys.stderr.write(f"{said}\n")):
-        sys.argv[1:] = arm_override(with_arm(for_manual(sys.argv[1:], "arm=ftdcr_v6")))
-        check_words(sys.argv[1:], IdentifySettings)
-    _hydra_main()
+    with held_folder():
+        with one_sentence(lambda said: sys.stderr.write(f"{said}\n")):
+            sys.argv[1:] = arm_override(with_arm(for_manual(sys.argv[1:], "arm=ftdcr_v6")))
+            check_words(sys.argv[1:], IdentifySettings)
+        _hydra_main()
 
 
 if __name__ == "__main__":

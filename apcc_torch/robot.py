@@ -21,6 +21,7 @@ from apcc_torch.experiments.folder import metrics_text
 from apcc_torch.hardware.stops import exit_code_table
 from apcc_torch.paper import arm_series as arm_run
 from apcc_torch.plain_text import for_terminal
+from apcc_torch.sweeps.claim import held_folder
 
 log = logging.getLogger("apcc_torch.robot")
 
@@ -44,10 +45,11 @@ def _hydra_main(cfg: DictConfig) -> None:
 
 def main() -> None:
     """Console entry point."""
-    with one_sentence(lambda said: sys.stderr.write(f"apcc_torch.robot: {said}\n")):
-        sys.argv[1:] = arm_override(for_manual(sys.argv[1:], "experiment=setpoint"))
-        check_words(sys.argv[1:], RealtimeSettings)
-    _hydra_main()
+    with held_folder():
+        with one_sentence(lambda said: sys.stderr.write(f"apcc_torch.robot: {said}\n")):
+            sys.argv[1:] = arm_override(for_manual(sys.argv[1:], "experiment=setpoint"))
+            check_words(sys.argv[1:], RealtimeSettings)
+        _hydra_main()
 
 
 if __name__ == "__main__":

@@ -25,6 +25,7 @@ from apcc_torch.plain_text import for_terminal
 from apcc_torch.sweeps import batch_run as batch
 from apcc_torch.sweeps.batch_points import batch_points, with_batch
 from apcc_torch.sweeps.callback import Sweep
+from apcc_torch.sweeps.claim import held_folder
 from apcc_torch.sweeps.job import run_job
 
 log = logging.getLogger("apcc_torch.simulate")
@@ -54,12 +55,15 @@ def _hydra_main(cfg: DictConfig) -> float | None:
 
 def main() -> None:
     """Console entry point."""
-    with one_sentence(lambda said: sys.stderr.write(f"apcc_torch.simulate: {said}\n")):
-        sys.argv[1:] = with_batch(arm_override(for_manual(sys.argv[1:], "experiment=kinematic")))
-        check_words(sys.argv[1:], SimulateSettings)
-    try:
-        _hydra_main()
-    finally:
+    with held_folder(Sweep):
+        with one_sentence(lambda said: sys.stderr.write(f"apcc_torch.simulate: {said}\n")):
+            sys.argv[1:] = with_batch(arm_override(for_manual(sys.argv[1:], "experiment=kinematic")))
+            check_words(sys.argv[1:], SimulateSettings)
+        try:
+            _hydra_main()
+        except (Exception, SystemExit):  # a stop is told in a word
+            Sweep.close()
+            raise
         code = Sweep.close()
     if code:
         sys.exit(code)

@@ -57,3 +57,21 @@ def jobs(sweep: Path) -> dict[str, dict[str, float]]:
         assert name not in found, f"{name} is there twice"
         found[name] = metrics(record.parent)
     return found
+
+
+def children(pid: int) -> list[int]:
+    """The processes that a process began, and that run."""
+    found = []
+    for stat in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            state, parent = stat.read_text().rpartition(")")[2].split()[:2]
+        except (OSError, ValueError):
+            continue  # it has just ended
+        if int(parent) == pid and state != "Z":
+            found.append(int(stat.parent.name))
+    return found
+
+
+def descendants(pid: int) -> list[int]:
+    """The same, and theirs."""
+    return [each for child in children(pid) for each in (child, *descendants(child))]

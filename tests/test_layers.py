@@ -24,7 +24,7 @@ MAX_LINES = 330
 LAYERS: tuple[tuple[str, ...], ...] = (
     ("plain_text",),
     ("errors",),
-    ("conf_path", "files", "modes", "spread"),
+    ("conf_path", "files", "modes", "processes", "spread"),
     ("settings", "shapes"),
     ("part",),
     ("classes",),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from apcc_torch.composition.run_settings import FolderSettings
 from apcc_torch.settings import OURS, Settings, setting
 
 
@@ -44,7 +45,7 @@ class OverrideSettings(Settings):
 
 
 @dataclass(frozen=True, kw_only=True)
-class BenchmarkSettings(Settings):
+class BenchmarkSettings(FolderSettings):
     """Root of `python -m apcc_torch.benchmark`."""
 
     grid: GridSettings = setting(meaning="what is run")

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from apcc_torch.composition.run_settings import FolderSettings
 from apcc_torch.errors import ConfigError, DataError
 from apcc_torch.identification.arm_blocks import KEYS, Spreads, arm_parameters
 from apcc_torch.identification.fit import FitSettings
@@ -14,7 +15,7 @@ from apcc_torch.identification.series import RecordingSettings, Series, read_ser
 from apcc_torch.identification.split import SplitSettings
 from apcc_torch.model.arm import Arm
 from apcc_torch.recordings.recording import detect_layout
-from apcc_torch.settings import OURS, Settings, check_choice, names, setting
+from apcc_torch.settings import OURS, check_choice, names, setting
 
 GEOMETRY = (
     "rest_length",
@@ -57,7 +58,7 @@ class ArmOnlineSettings(OnlineSettings):
 
 
 @dataclass(frozen=True, kw_only=True)
-class IdentifySettings(Settings):
+class IdentifySettings(FolderSettings):
     """Root of `python -m apcc_torch.identify`."""
 
     data: str | None = setting(None, "", OURS, "file or folder of the recording")

@@ -48,7 +48,14 @@ class ExperimentSettings(Settings):
 
 
 @dataclass(frozen=True, kw_only=True)
-class RunSettings(ControlSettings):
+class FolderSettings(Settings):
+    """What every program does with its folder."""
+
+    overwrite: bool = setting(False, "", OURS, "write over the results of an earlier run in the folder")
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunSettings(FolderSettings, ControlSettings):
     """What a run has, in simulation and on an arm alike: the arm, its controller, the true arm, the experiment."""
 
     arm: Arm = setting(meaning="the arm, as it is believed to be")

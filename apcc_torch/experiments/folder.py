@@ -7,7 +7,7 @@ import logging
 import platform
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sized
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,6 +18,7 @@ from torch import Tensor
 from tqdm import tqdm
 
 import apcc_torch
+from apcc_torch.errors import WriteError
 from apcc_torch.files import draft_of, write_arrays, write_json
 from apcc_torch.simulation.progress import Progress, quiet
 
@@ -56,8 +57,8 @@ def _telling(steps: Iterable[int], label: str, path: Path) -> Iterator[int]:
         now = time.monotonic()
         if now - told_at >= _TELL_EVERY:
             told_at = now
-            # Whole or not at all, but not forced to the disk: nobody misses it after a crash.
-            with draft_of(path) as draft:
+            # Whole or not at all, but not forced to the disk: nobody misses it after a crash, or on a full disk.
+            with suppress(WriteError), draft_of(path) as draft:
                 draft.write_text(json.dumps({"label": label, "done": done, "steps": total}))
         yield step
 

@@ -14,6 +14,7 @@ from pathlib import Path
 from apcc_torch.errors import CompileError
 from apcc_torch.native.library import keep, private_folder
 from apcc_torch.native.source import Source
+from apcc_torch.processes import process_group
 
 # Values that are not numbers keep their meaning, so no -ffast-math; errno and traps are nobody's business here.
 FLAGS = ("-std=c++17", "-march=native", "-fPIC", "-fno-math-errno", "-fno-trapping-math", "-Wno-psabi")
@@ -91,21 +92,25 @@ def _compile(cxx: str, source: Source, folder: Path) -> Path:
     for k, body in enumerate(source.parts):
         (folder / f"{k}.cpp").write_text(f'#include "header.hpp"\n{body}')
         objects.append(folder / f"{k}.o")
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
+    made = folder / "made.so"
+    with ThreadPoolExecutor(os.cpu_count()) as pool, process_group() as group:
         jobs = [
-            pool.submit(_run, [cxx, *flags(source.lanes), "-c", str(o.with_suffix(".cpp")), "-o", str(o)])
+            pool.submit(_run, [cxx, *flags(source.lanes), "-c", str(o.with_suffix(".cpp")), "-o", str(o)], group)
             for o in objects
         ]
-        for job in jobs:
-            job.result()
-    made = folder / "made.so"
-    _run([cxx, "-shared", "-pthread", *map(str, objects), "-o", str(made)])
+        try:
+            for job in jobs:
+                job.result()
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
+        _run([cxx, "-shared", "-pthread", *map(str, objects), "-o", str(made)], group)
     return made
 
 
-def _run(command: list[str]) -> str:
+def _run(command: list[str], group: int | None = None) -> str:
     try:
-        done = subprocess.run(command, capture_output=True, text=True, errors="replace")
+        done = subprocess.run(command, capture_output=True, text=True, errors="replace", process_group=group)
     except OSError as error:
         raise CompileError(f"{command[0]} cannot be run: {error.strerror or error}") from error
     if done.returncode:

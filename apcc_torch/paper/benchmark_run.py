@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import multiprocessing
 import time
+from collections import deque
 from collections.abc import Iterator, Mapping
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
 import torch
 
+from apcc_torch import processes
 from apcc_torch.composition.benchmark import BenchmarkSettings, GridSettings
 from apcc_torch.composition.run_settings import SimulateSettings
 from apcc_torch.errors import ConfigError
@@ -115,10 +115,10 @@ def _outcomes(tasks: list[tuple[SimulateSettings, bool, str]], workers: int) -> 
     if workers == 1:
         yield from (outcome(*task) for task in tasks)
         return
-    # Fresh processes: a forked one would inherit torch's threads in an unknown state.
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(workers, context, torch.set_num_threads, (torch.get_num_threads(),)) as pool:
-        yield from pool.map(outcome, *zip(*tasks, strict=True))
+    with processes.workers(workers, torch.set_num_threads, torch.get_num_threads()) as pool:
+        waiting = deque(pool.submit(outcome, *task) for task in tasks)
+        while waiting:
+            yield waiting.popleft().result()
 
 
 def run(config: BenchmarkSettings, pairs: Pairs, folder: Path) -> str:

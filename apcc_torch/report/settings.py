@@ -14,7 +14,7 @@ POWER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)[eE][+-]?\d+")
 
 NAME = "experiment.name"
 """The setting that names a run's experiment, which chooses most of the others."""
-HOW = ("batch", "figures", "hydra", "jobs", "objective", "progress", "prune", "resume", "sweep", "threads")
+HOW = ("batch", "figures", "hydra", "jobs", "objective", "overwrite", "progress", "prune", "resume", "sweep", "threads")
 """Keys, and first parts of keys, that say how runs are computed, not what is computed: no setting to compare."""
 
 

@@ -12,7 +12,7 @@ import multiprocessing
 import shutil
 import time
 from collections.abc import Hashable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures import FIRST_COMPLETED, Future, wait
 from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 from typing import Any
@@ -28,6 +28,7 @@ from apcc_torch.experiments.kinds import BATCHED, kind_of
 from apcc_torch.experiments.run import METRICS
 from apcc_torch.files import write_atomically, write_json
 from apcc_torch.plain_text import for_spreadsheet
+from apcc_torch.processes import workers
 from apcc_torch.reading import plain
 from apcc_torch.sweeps.batch_chunk import ChunkResult, Task, chosen, compute, draw, is_finite, rank, read_part
 
@@ -41,7 +42,9 @@ FEWEST_ROWS = 32
 """Rows below which a chunk is not divided for another worker: a step costs as much for one row as for a few dozen."""
 SCRATCH_MIB = 0.15
 """Memory that one row takes within a step, MiB; measured, with room to spare."""
-NOT_THE_RUN = ("resume", "jobs", "progress", "prune", "figures", "threads", "batch_memory_mib", "batch_workers")
+NOT_THE_RUN = (
+    *("resume", "overwrite", "jobs", "progress", "prune", "figures", "threads", "batch_memory_mib", "batch_workers"),
+)
 
 
 def run(config: SimulateSettings, points: Sequence[Point], folder: Path) -> dict[str, float]:
@@ -200,24 +203,19 @@ def _work(tasks: Sequence[Task], total: int, done: int, config: SimulateSettings
             compute(task, bar.more)
         bar.close()
         return
-    context = multiprocessing.get_context("spawn")
-    count = context.Value("d", 0.0)
-    pool = ProcessPoolExecutor(min(config.batch_workers, len(tasks)), context, _begin, (count, config.threads or 1))
-    with pool:
-        waiting: set[Future[None]] = {pool.submit(_compute_there, task) for task in tasks}
-        try:
+    count = multiprocessing.get_context("spawn").Value("d", 0.0)
+    try:
+        with workers(min(config.batch_workers, len(tasks)), _begin, count, config.threads or 1) as pool:
+            waiting: set[Future[None]] = {pool.submit(_compute_there, task) for task in tasks}
             while waiting:
                 ended, waiting = wait(waiting, 0.5, FIRST_COMPLETED)
                 bar.at(count.value)
                 for future in ended:
                     future.result()
-        except BrokenProcessPool as error:
-            raise ConfigError(
-                "a worker of the batch was killed, perhaps for its memory: lower batch_memory_mib; resume=true goes on"
-            ) from error
-        except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
-            raise
+    except BrokenProcessPool as error:
+        raise ConfigError(
+            "a worker of the batch was killed, perhaps for its memory: lower batch_memory_mib; resume=true goes on"
+        ) from error
     bar.close()
 
 

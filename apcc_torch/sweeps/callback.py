@@ -15,15 +15,17 @@ from typing import Any, ClassVar
 from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override
-from hydra.experimental.callback import Callback
 from omegaconf import DictConfig, OmegaConf, open_dict, read_write
 
 from apcc_torch.conf_path import conf_path
 from apcc_torch.errors import ConfigError, one_sentence
 from apcc_torch.experiments.run import PRUNED, objective_in
+from apcc_torch.processes import again
 from apcc_torch.sweeps.bars import SweepBars
 from apcc_torch.sweeps.batch_points import points_of
-from apcc_torch.sweeps.sweep_folder import JOB, NOT_THE_RUN, SweepFolder, read_record
+from apcc_torch.sweeps.claim import Claim, dir_override
+from apcc_torch.sweeps.job import HEAD
+from apcc_torch.sweeps.sweep_folder import FAILED, JOB, NOT_THE_RUN, Failure, SweepFolder, read_record
 
 log = logging.getLogger("apcc_torch.simulate")
 
@@ -38,6 +40,8 @@ EXTRAS = {
 }
 """Plugin of hydra -> the extra of this package that installs it."""
 JOBLIB = "hydra_plugins.hydra_joblib_launcher"
+OF_THIS_MACHINE = ("JoblibLauncher", "LocalLauncher")
+"""Launchers whose workers end with the sweep; a cluster's go on, and Ray ends its own."""
 
 
 @dataclass(frozen=True)
@@ -121,32 +125,20 @@ def installed(plugin: str) -> bool:
     return find_spec(plugin.partition(".")[0]) is not None and find_spec(plugin) is not None
 
 
-def make_absolute(config: DictConfig) -> Path:
-    """Makes the sweep's folder absolute, for workers that start elsewhere, and returns it."""
-    path = Path(os.path.abspath(str(config.hydra.sweep.dir)))
-    with read_write(config), open_dict(config):
-        config.hydra.sweep.dir = str(path)
-        # Each job is composed anew from the command line.
-        kept = [o for o in config.hydra.overrides.hydra if not o.startswith("hydra.sweep.dir=")]
-        quoted = str(path).replace("\\", "\\\\").replace("'", "\\'")
-        config.hydra.overrides.hydra = [*kept, f"hydra.sweep.dir='{quoted}'"]
-    return path
-
-
 def prepare(folder: SweepFolder, config: DictConfig) -> None:
     """Makes a folder ready for a sweep to begin, or to go on.
 
     Raises:
-        ConfigError: There is nothing to resume, or there is and the sweep was not asked to resume.
+        ConfigError: It holds finished jobs, and the sweep was asked neither to resume nor to write over them.
     """
-    there = any(folder.finished())
-    if there and not config.resume:
-        raise ConfigError(f"{folder.path} holds finished jobs; resume=true runs only what is missing")
-    if config.resume and not folder.path.is_dir():
+    there = list(folder.finished())
+    if there and not config.resume and not config.overwrite:
         raise ConfigError(
-            f"resume=true needs hydra.sweep.dir=FOLDER of the sweep to resume; {folder.path} is not there"
+            f"{folder.path} holds finished jobs; resume=true runs only what is missing, overwrite=true begins anew"
         )
     folder.clear()
+    for job in there if not config.resume else ():
+        folder.discard(job)
 
 
 @dataclass
@@ -166,13 +158,35 @@ class OpenSweep:
     bars: SweepBars
     ended: bool = False
 
+    def stopped(self, by: str) -> None:
+        """Tells how far the sweep has come, and how to go on."""
+        self.bars.stop()
+        failed = len(self.folder.failures())
+        log.error(
+            "stopped by %s: %d of %d jobs are finished in %s%s",
+            *(by, len(list(self.folder.finished())), self.plan.total, self.folder.path),
+            f", {failed} failed" if failed else "",
+        )
+        log.info("to run only what is missing: %s", self.resume())
+
+    def resume(self) -> str:
+        """The command that goes on with the sweep, for a shell."""
+        return again("resume=true", dir_override("hydra.sweep.dir", self.folder.path))
+
+    def _known(self, failure: Failure) -> Failure:
+        """A failure whose record is lost, with the overrides that the sweep's plan has under its number."""
+        number, jobs = failure.folder.name.removesuffix(FAILED), self.plan.jobs or []
+        if failure.overrides or not number.isdecimal() or int(number) >= len(jobs):
+            return failure
+        return failure._replace(overrides=jobs[int(number)])
+
     def close(self) -> int:
         """Names the jobs that failed, were pruned or never ran, and the best one; returns the exit code."""
         self.bars.stop()
         finished = sorted(self.folder.finished(), key=lambda folder: (len(folder.name), folder.name))
         overrides = {folder: [str(o) for o in read_record(folder / JOB)["overrides"]] for folder in finished}
         brief = {folder: self.plan.brief(overrides[folder]) for folder in finished}
-        failures = self.folder.failures()
+        failures = [self._known(failure) for failure in self.folder.failures()]
         for folder in finished:
             if (folder / PRUNED).is_file():
                 log.info("pruned: %s, %s: %s", folder.name, brief[folder], read_record(folder / PRUNED)["why"])
@@ -190,14 +204,21 @@ class OpenSweep:
         log.info("%d finished jobs in %s", len(finished), self.folder.path)
         if self.ended and not failures and not missing:
             return 0
-        log.info("to run only what is missing: the same command with resume=true hydra.sweep.dir=%s", self.folder.path)
+        log.info("to run only what is missing: %s", self.resume())
         return 1
 
 
-class Sweep(Callback):
+class Sweep(Claim):
     """Hydra's view of a sweep. Launchers copy callbacks into their workers, so what runs here is the class's."""
 
     current: ClassVar[OpenSweep | None] = None
+    batch: ClassVar[Path | None] = None
+    """Folder of a batch that is no job of a sweep: it can be resumed."""
+
+    def on_run_start(self, config: DictConfig, **_: Any) -> None:
+        """See `Claim.on_run_start`."""
+        super().on_run_start(config)
+        Sweep.batch = None if config.batch is None else Path(str(config.hydra.run.dir))
 
     def on_multirun_start(self, config: DictConfig, **_: Any) -> None:
         """Checks what can be checked, clears the folder, starts the bars."""
@@ -206,13 +227,20 @@ class Sweep(Callback):
             for plugin in (config.hydra.launcher, config.hydra.sweeper):
                 check_installed(str(plugin._target_))
             check_jobs(config)
-            folder = SweepFolder(make_absolute(config))
+            if config.resume and not Path(str(config.hydra.sweep.dir)).is_dir():
+                raise ConfigError(
+                    "resume=true needs hydra.sweep.dir=FOLDER of the sweep to resume; "
+                    f"{config.hydra.sweep.dir} is not there"
+                )
+            folder = SweepFolder(self.take(config, "hydra.sweep.dir", None))
             prepare(folder, config)
         plan = planned(config)
         before = sum(1 for _ in folder.finished())
         launcher = str(config.hydra.launcher._target_).rpartition(".")[2]
         there = f", which holds {before}" if before else ""
         log.info("%d jobs by %s into %s%s", plan.total, launcher, folder.path, there)
+        if launcher in OF_THIS_MACHINE:
+            os.environ[HEAD] = str(os.getpid())
         Sweep.current = OpenSweep(folder, plan, config.objective, SweepBars(folder, plan.total))
         if config.progress:
             Sweep.current.bars.start()
@@ -221,6 +249,18 @@ class Sweep(Callback):
         """Notes that the sweep did not break off."""
         if Sweep.current is not None:
             Sweep.current.ended = True
+
+    @classmethod
+    def stopped(cls, by: str) -> None:
+        """See `Claim.stopped`."""
+        sweep, Sweep.current = Sweep.current, None
+        if sweep is not None:
+            sweep.stopped(by)
+        elif cls.batch is not None:
+            log.error("stopped by %s; what is finished of the batch is kept in %s", by, cls.batch)
+            log.info("to go on: %s", again("resume=true", dir_override("hydra.run.dir", cls.batch)))
+        else:
+            super().stopped(by)
 
     @staticmethod
     def close() -> int:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import logging
 import math
+import os
 from collections.abc import Callable, Sequence
+from functools import cache
 from pathlib import Path
 
 from omegaconf import DictConfig
@@ -14,11 +16,15 @@ from apcc_torch.composition.stacking import Point
 from apcc_torch.errors import ApccError
 from apcc_torch.experiments.folder import metrics_text, progress_told
 from apcc_torch.experiments.run import objective_in, run, settings_of
+from apcc_torch.processes import end_with
 from apcc_torch.sweeps import batch_run as batch
 from apcc_torch.sweeps.own_process import run_isolated
 from apcc_torch.sweeps.sweep_folder import PROGRESS, SweepFolder, job_name
 
 log = logging.getLogger("apcc_torch.simulate")
+
+HEAD = "APCC_SWEEP_HEAD"
+"""Environment variable with the process that a launcher's workers end with."""
 
 
 def run_job(
@@ -43,6 +49,8 @@ def run_job(
         Its objective, for a search to lower: infinite where the run diverged, was pruned or failed. None if it
         ended well and no objective is named.
     """
+    logging.raiseExceptions = False  # a full disk is told once, not by every line that the log lacks
+    _end_with_head()
     sweep = SweepFolder(draft.parent)
     try:
         config = settings_of(cfg, draft)
@@ -59,15 +67,25 @@ def run_job(
             value = objective_in(draft, config.objective)
             sweep.publish(draft, config, overrides)
             return value
-    except ApccError as error:
+    except (ApccError, OSError) as error:
         why = str(error)
     except Exception as error:
         log.exception("the job could not be run")
         why = f"{type(error).__name__}: {error}"
     # Named at once and in the job's own log; the sweep's end names it again.
     log.error("%s", why)
-    sweep.fail(draft, overrides, why)
+    try:
+        sweep.fail(draft, overrides, why)
+    except OSError as error:
+        log.error("%s", error)
     return math.inf
+
+
+@cache
+def _end_with_head() -> None:
+    head = int(os.environ.get(HEAD, os.getpid()))
+    if head != os.getpid():
+        end_with(head)
 
 
 def _work(config: SimulateSettings, draft: Path, points: Sequence[Point] | None) -> None:

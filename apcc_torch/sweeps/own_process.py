@@ -9,11 +9,13 @@ import signal
 import sys
 import traceback
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
 from apcc_torch.errors import ApccError
+from apcc_torch.processes import deaf_children, end_with
 
 # A clean process that has imported the toolkit once; each piece of work is forked from it in milliseconds. Forking the
 # caller itself would copy locks held by its threads (a launcher's, a progress bar's).
@@ -38,8 +40,9 @@ def run_isolated(work: Callable[..., object], arguments: Sequence[Any], log: Pat
     if _METHOD == "forkserver":
         context.set_forkserver_preload([work.__module__])
     here, there = context.Pipe(duplex=False)
-    process = context.Process(target=_child, args=(work, tuple(arguments), str(log), there))  # type: ignore[attr-defined]
-    process.start()
+    with deaf_children():
+        process = context.Process(target=_child, args=(os.getpid(), work, tuple(arguments), str(log), there))  # type: ignore[attr-defined]
+        process.start()
     there.close()
     try:
         process.join()
@@ -56,7 +59,8 @@ def run_isolated(work: Callable[..., object], arguments: Sequence[Any], log: Pat
         return f"ended with exit code {process.exitcode}"
 
 
-def _child(work: Callable[..., object], arguments: tuple[Any, ...], log: str, told: Connection) -> None:
+def _child(pid: int, work: Callable[..., object], arguments: tuple[Any, ...], log: str, told: Connection) -> None:
+    end_with(pid)
     with open(log, "a", encoding="utf-8") as file:
         # Also what C libraries write, and a worker's last words.
         os.dup2(file.fileno(), 1)
@@ -69,6 +73,8 @@ def _child(work: Callable[..., object], arguments: tuple[Any, ...], log: str, to
         told.send(str(error))
         sys.exit(2)
     except Exception as error:
-        traceback.print_exc()
+        # Told first: on a full disk the log does not take the stack.
         told.send(f"{type(error).__name__}: {error}"[:2000])  # fits the pipe, which nobody empties before the end
+        with suppress(OSError):
+            traceback.print_exc()
         sys.exit(1)

@@ -28,7 +28,7 @@ DRAFT = re.compile(r"\.(?P<name>.+)\.\d+\.draft")
 FAILED = ".failed"
 
 # What does not change a run's results. Pruning is compared where a run was pruned, and only there.
-NOT_THE_RUN = ("resume", "jobs", "progress", "objective", "prune", "batch_memory_mib", "batch_workers")
+NOT_THE_RUN = ("resume", "overwrite", "jobs", "progress", "objective", "prune", "batch_memory_mib", "batch_workers")
 
 
 class Failure(NamedTuple):
@@ -96,7 +96,10 @@ class SweepFolder:
         """The jobs that ended badly, in the order of their names."""
         folders = []
         for folder in self.path.glob(f"*{FAILED}"):
-            record = read_record(folder / FAILURE)
+            try:
+                record = read_record(folder / FAILURE)
+            except DataError:  # there was no room for it
+                record = {"overrides": [], "why": "for a reason that could not be recorded"}
             folders.append(Failure(folder, [str(o) for o in record["overrides"]], str(record["why"])))
         return sorted(folders, key=lambda failure: (len(failure.folder.name), failure.folder.name))
 
@@ -132,11 +135,17 @@ class SweepFolder:
                 place = self.path / f"{name}-{k}"
 
     def fail(self, draft: Path, overrides: Sequence[str], why: str) -> Failure:
-        """Renames a draft to NAME.failed, with a record of why."""
-        write_json(draft / FAILURE, {"overrides": list(overrides), "why": why})
+        """Renames a draft to NAME.failed, with a record of why.
+
+        Raises:
+            OSError: There is no room for the record, though the draft is renamed; or it is not there.
+        """
         place = self.path / f"{job_name(draft)}{FAILED}"
-        _discard(place)
-        os.rename(draft, place)
+        try:
+            write_json(draft / FAILURE, {"overrides": list(overrides), "why": why})
+        finally:
+            _discard(place)
+            os.rename(draft, place)
         return Failure(place, list(overrides), why)
 
     def rename_job(self, folder: Path, overrides: Sequence[str]) -> None:

@@ -15,6 +15,7 @@ from apcc_torch.sweeps.sweep_folder import SweepFolder
 def settings(*task: str, **sweeper: object) -> DictConfig:
     tree = {
         "resume": False,
+        "overwrite": False,
         "hydra": {"sweeper": sweeper, "sweep": {"dir": "here"}, "overrides": {"task": list(task), "hydra": []}},
     }
     config = OmegaConf.create(tree)
@@ -35,15 +36,6 @@ def test_a_search_finds_its_jobs_on_the_way() -> None:
     plan = sweep.planned(settings("seed=1", n_trials=20, params={"controller.K": "interval(0.5,3)"}))
     assert (plan.total, plan.keys, plan.jobs) == (20, {"controller.K"}, None)
     assert plan.brief(["seed=1"]) == "(nothing swept)"
-
-
-def test_the_folder_is_absolute_for_every_worker(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    config = settings()
-    config.hydra.overrides.hydra = ["hydra.sweep.dir=here", "hydra.verbose=true"]
-    assert sweep.make_absolute(config) == tmp_path / "here"
-    assert config.hydra.sweep.dir == str(tmp_path / "here")
-    assert config.hydra.overrides.hydra == ["hydra.verbose=true", f"hydra.sweep.dir='{tmp_path / 'here'}'"]
 
 
 def test_a_folder_with_leftovers_alone_may_be_begun_again(tmp_path: Path) -> None:

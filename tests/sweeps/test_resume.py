@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from commands import ONE_BY_ONE, QUICK, command, environment, jobs, simulate
+from commands import ONE_BY_ONE, QUICK, children, command, environment, jobs, simulate
 
 KEYS = ("-m", *QUICK, "experiment.duration=2", "velocity_filter.window=5,9,15,25,45", "hydra.sweep.dir=sweep")
 
@@ -107,18 +107,6 @@ def worker_of(pid: int) -> int | None:
         for grandchild in children(child):
             return grandchild
     return None
-
-
-def children(pid: int) -> list[int]:
-    found = []
-    for stat in Path("/proc").glob("[0-9]*/stat"):
-        try:
-            parent = int(stat.read_text().rpartition(")")[2].split()[1])
-        except (OSError, ValueError):
-            continue  # it has just ended
-        if parent == pid:
-            found.append(int(stat.parent.name))
-    return found
 
 
 def test_a_resumed_sweep_may_be_larger(tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 import subprocess
 from pathlib import Path
 
@@ -49,7 +50,7 @@ def test_every_job_is_a_whole_folder_or_named(swept: tuple[Path, subprocess.Comp
     why = "lower must be below upper for every section, got 1.5 and 1.4"
     for gain in ("0.1", "1"):
         assert f"adaptation.gain_scale={gain} bounds.lower=1.5: {why}" in told
-    assert f"resume=true hydra.sweep.dir={folder}" in told
+    assert shlex.quote(f"hydra.sweep.dir='{folder}'") in told.partition("resume=true ")[2]
     assert "Traceback" not in told + done.stderr
     assert f"[ERROR] - {why}" in (folder / "1.failed" / "simulate.log").read_text()
 
@@ -95,7 +96,8 @@ def test_there_must_be_something_to_resume(tmp_path: Path) -> None:
 )
 def test_a_wrong_setting_of_one_job_ends_the_sweep_before_anything_runs(tmp_path: Path, word: str, said: str) -> None:
     done = simulate(tmp_path, "-m", *QUICK, *word.split(), "hydra.sweep.dir=s")
-    assert done.returncode == 2 and said in done.stdout and "Traceback" not in done.stdout + done.stderr
+    told = done.stdout + done.stderr
+    assert done.returncode == 2 and said in told and "Traceback" not in told
     assert not jobs(tmp_path / "s")
 
 

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import errno
 import json
+import logging
+import math
+import os
 from pathlib import Path
 
 import pytest
@@ -11,8 +15,11 @@ from hypothesis import strategies as st
 
 from apcc_torch.composition.run_settings import SimulateSettings
 from apcc_torch.errors import ConfigError, DataError
+from apcc_torch.sweeps.bars import SweepBars
+from apcc_torch.sweeps.callback import OpenSweep, Plan
+from apcc_torch.sweeps.job import run_job
 from apcc_torch.sweeps.sweep_folder import SweepFolder, fingerprint, job_name
-from composed import changed
+from composed import changed, raw
 
 
 def settings(*overrides: str) -> SimulateSettings:
@@ -94,6 +101,28 @@ def test_a_failed_job_is_kept_apart_until_it_ends_well(sweep: SweepFolder) -> No
     assert sweep.failures()[1].why == "no memory again"
     sweep.publish(draft(sweep, "10"), settings(), ["seed=1"])
     assert [f.folder.name for f in sweep.failures()] == ["2.failed"]
+
+
+def test_a_job_that_meets_a_full_disk_is_named_and_costs_no_other(
+    sweep: SweepFolder, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr(logging, "raiseExceptions", True)  # the job sets it
+    plan = Plan(2, frozenset({"seed"}), [["seed=1"], ["seed=2"]])
+    sweep.publish(draft(sweep, "0"), settings("seed=1"), ["seed=1"])
+    work = draft(sweep, "1")
+
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    with monkeypatch.context() as disk:
+        disk.setattr(os, "fsync", full)
+        assert run_job(raw("experiment=kinematic", "seed=2"), work, ["seed=2"], "simulate.log") == math.inf
+    said = [f"{work / name} cannot be written: No space left on device" for name in ("config.yaml", "failure.json")]
+    assert [record.getMessage() for record in caplog.records] == said and "Traceback" not in caplog.text
+    assert [failure.folder.name for failure in sweep.failures()] == ["1.failed"] and not list(sweep.drafts())
+    assert OpenSweep(sweep, plan, None, SweepBars(sweep, 2), ended=True).close() == 1
+    assert "failed: 1.failed, seed=2: for a reason that could not be recorded" in caplog.text
+    assert "not finished" not in caplog.text and (sweep.path / "0" / "job.json").exists()
 
 
 def test_clearing_takes_what_is_not_finished_and_nothing_else(sweep: SweepFolder) -> None:
