@@ -89,10 +89,9 @@ class EmulatedPlatform:
         report = self.servos.report()
         for k, motor in enumerate(MOTORS):
             y = self.arm.metres_per_tick[k] * (np.array(report[motor]["goals"]) - ZEROS[k])
-            tick = abs(self.arm.metres_per_tick[k])
             if len(y) and (y.min() < LOWER - 1e-9 or y.max() > UPPER + 1e-9):
                 return False
-            if len(y) > 2 and np.abs(np.diff(y[:-1])).max() > STEP + tick:
+            if len(y) > 2 and np.abs(np.diff(y[:-1])).max() > STEP + 1e-9:
                 return False
         return True
 
