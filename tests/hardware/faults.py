@@ -233,6 +233,7 @@ CONTROLLER_WRONG = [
 WRONG_FROM_THE_START = [
     first("a wrong model", servo("poke", address=0, length=2, value=1020), f"{NAME} is model 1020, not 1030"),
     first("too old a firmware", servo("poke", address=6, length=1, value=37), f"{NAME} has firmware 37, older than 38"),
+    first("homing offset", servo("poke", address=20, length=4, value=100), f"{NAME} has homing offset 100, needs 0"),
     first("torque already on", servo("poke", address=64, length=1, value=1), f"{NAME} holds torque", torqued=MOTOR),
     first("a hardware error from before", servo("poke", address=70, length=1, value=32), f"{NAME} reports overload"),
     first("a motor that is not there", servo("mute"), f"{NAME}: no reply"),
