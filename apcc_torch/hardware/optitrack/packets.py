@@ -120,6 +120,8 @@ class Frame:
 class BoundedBuffer(PacketBuffer):
     """The parser's buffer, which never reads beyond its end."""
 
+    pointer: int
+
     def read_string(self, max_length: int | None = None, static_length: bool = False) -> str:
         text, end, _ = bytes(self.data[self.pointer :]).partition(b"\0")
         if not end:
@@ -266,7 +268,7 @@ def read_frame(buffer: BoundedBuffer, version: tuple[int, int]) -> Frame:
         CommunicationError: It is damaged, or its only stamp is no number.
     """
     try:
-        sequence, bodies = buffer.read_uint32(), ()
+        sequence, bodies = buffer.read_uint32(), list[Any]()
         spoken, kinds = Version(*version), _elements()
         for section in _SECTIONS if version >= _SIZED else (s for s in _SECTIONS if s != "assets"):
             count = buffer.read_uint32()
@@ -274,7 +276,7 @@ def read_frame(buffer: BoundedBuffer, version: tuple[int, int]) -> Frame:
             if section == "unlabelled markers" and end is None:
                 buffer.read_float32_array(3 * count)
             elif section == "rigid bodies" or end is None:
-                elements = tuple(kinds[section].read_from_buffer(buffer, spoken) for _ in range(count))
+                elements = [kinds[section].read_from_buffer(buffer, spoken) for _ in range(count)]
                 bodies = elements if section == "rigid bodies" else bodies
             if end is not None:
                 buffer.skip_to(end)
