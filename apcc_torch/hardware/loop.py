@@ -94,6 +94,7 @@ class Loop:
             self._read(tick)
             self._sense(tick)
             self._decide(tick)
+            halt_if(self.setup.sensing.missing(self.setup.clock.now()))
             self._send(tick)
         finally:
             tick.overruns, tick.failed = self.overruns, self.guards.failed
@@ -121,7 +122,6 @@ class Loop:
         tick.frame = self.setup.sensing.look(sample, clock.now())
         tick.sense = clock.now() - began
         self._alive()
-        halt_if(self.setup.sensing.missing(clock.now()))
 
     def _decide(self, tick: Tick) -> None:
         """Steps the controller where there is a new frame to step on; elsewhere its last wish stands.
