@@ -50,7 +50,7 @@ from apcc_torch.hardware.dynamixel.registers import (
     Register,
     hardware_errors,
 )
-from apcc_torch.hardware.dynamixel.settings import DynamixelSettings
+from apcc_torch.hardware.dynamixel.settings import MAX_ID, DynamixelSettings
 from apcc_torch.hardware.dynamixel.status import (
     ANSWERS_EVERYTHING,
     STATUS_LENGTH,
@@ -172,7 +172,7 @@ class Motors:
 
     def _set(self, motor: int, register: Register, found: int, needed: int) -> None:
         """Writes a register that differs, and reads it back."""
-        if found == needed:
+        if found == needed or (register is SECONDARY_ID and found > MAX_ID):  # all of those are none
             return
         try:
             self.bus.write(motor, register, needed)

@@ -73,7 +73,7 @@ FOUND = {
     registers.RETURN_DELAY: st.integers(0, 254),
     registers.DRIVE_MODE: st.sampled_from([0, 1, 4, 5]),
     registers.OPERATING_MODE: st.sampled_from([0, 1, 3, 4, 5, 16]),
-    registers.SECONDARY_ID: st.integers(0, 255),
+    registers.SECONDARY_ID: st.integers(0, 252),
     registers.PWM_LIMIT: st.integers(0, 885),
     registers.CURRENT_LIMIT: st.integers(0, 1193),
     registers.VELOCITY_LIMIT: st.integers(0, 1023),
