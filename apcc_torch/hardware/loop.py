@@ -94,6 +94,7 @@ class Loop:
             self._read(tick)
             self._sense(tick)
             self._decide(tick)
+            self._alive()
             halt_if(self.setup.sensing.missing(self.setup.clock.now()))
             self._send(tick)
         finally:
@@ -121,7 +122,6 @@ class Loop:
             raise Halt(Stop(StopReason.SENSOR_LOST, str(error))) from error
         tick.frame = self.setup.sensing.look(sample, clock.now())
         tick.sense = clock.now() - began
-        self._alive()
 
     def _decide(self, tick: Tick) -> None:
         """Steps the controller where there is a new frame to step on; elsewhere its last wish stands.

@@ -221,14 +221,18 @@ def test_a_stopped_process_ends_the_run_and_every_period_it_missed_counts(
     check_end(run)
 
 
+def patient() -> Sensing:
+    """One that waits long for a frame."""
+    return Sensing(builder().sensors_at(), builder().base_rotation(), SENSING.changed(stale=5.0, dropout=5.0))
+
+
 @pytest.mark.parametrize("stage", STAGES)
 def test_after_a_pause_that_is_allowed_no_old_frame_is_used(stage: str, monkeypatch: pytest.MonkeyPatch) -> None:
     stopped(monkeypatch, stage, 1.005)
-    patient = Sensing(builder().sensors_at(), builder().base_rotation(), SENSING.changed(stale=5.0, dropout=5.0))
     run = fake_run(
         [Fault("turned_round", AT + 0.5)],  # what a frame after the pause asks for
         replace(GUARDS, max_pause=None, overruns=1000),
-        sensing=patient,
+        sensing=patient(),
         loop=LoopSettings(rate=50.0, warm_up=2, hold=0.1),
         duration=3.0,
     )
@@ -243,7 +247,8 @@ def test_after_a_pause_that_is_allowed_no_old_frame_is_used(stage: str, monkeypa
 
 def test_a_command_from_a_frame_that_grew_old_in_the_step_is_not_sent() -> None:
     """The process is stopped within the controller's step: the next frame's wish is the first that counts."""
-    run = fake_run([Fault("stopped", AT, AT + 0.005), Fault("turned_round", AT)], replace(GUARDS, overruns=1000))
+    faults = [Fault("stopped", AT, AT + 0.005), Fault("turned_round", AT)]
+    run = fake_run(faults, replace(GUARDS, overruns=1000), sensing=patient())
     late = next(tick for tick in run.witness.ticks if tick.control > 0.1)
     assert late.decision is not None and (late.decision.y > 0).all() and (late.requested < 0).all()
     after = next(tick for tick in run.witness.ticks if tick.index > late.index)
