@@ -19,6 +19,7 @@ from apcc_torch.hardware.stop_request import StopRequest
 from apcc_torch.hardware.stops import StopReason
 
 N_TENDONS, N_BODIES = 9, 3
+TICK = 7e-4  # m, of motors that go in steps as coarse as a third of what a command may change
 
 
 @dataclass(frozen=True)
@@ -48,7 +49,7 @@ class FakeActuator(TendonActuator):
         self.clock = clock
         self.faults = faults
         self.n_tendons = N_TENDONS
-        self.y = np.full(N_TENDONS, -0.002)
+        self.y = np.full(N_TENDONS, -3 * TICK)
         self.torque = self.connected = self.held = False
         self.commands: list[tuple[float, np.ndarray, bool]] = []
         self.armed = (self.y, 0.0)  # where it was, and when, as torque went on
@@ -86,7 +87,14 @@ class FakeActuator(TendonActuator):
         y[8] += np.nan if self.faults.at("reading_nan", now) else 0.0
         return TendonReading(now, y, np.zeros(N_TENDONS), effort, {"position": [0] * N_TENDONS})
 
+    def rounded(self, y: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+        if not self.faults.at("coarse", 0.0):
+            return y
+        return np.clip(np.rint(y / TICK), np.ceil(low / TICK - 1e-9), np.floor(high / TICK + 1e-9)) * TICK
+
     def send(self, y: np.ndarray) -> np.ndarray:
+        if self.faults.at("coarse", 0.0):
+            y = np.rint(y / TICK) * TICK
         if self.faults.at("send_fails", self.clock.now()):
             raise CommunicationError("the port is gone")
         self.commands.append((self.clock.now(), y.copy(), self.torque and not self.held))
@@ -193,8 +201,9 @@ class FakeStep:
             raise ValueRangeError("q must be finite")
         if self.faults.at("bug", now):
             raise RuntimeError("index out of range")
-        if self.faults.at("slow", now):
-            self.clock.wait_until(now + 0.037)
+        for kind, seconds in (("slow", 0.037), ("stopped", 0.5)):
+            if self.faults.at(kind, now):
+                self.clock.wait_until(now + seconds)
         for kind, reason in (("ctrl_c", StopReason.INTERRUPTED), ("sigterm", StopReason.TERMINATED)):
             if self.faults.at(kind, now):
                 self.request.ask(reason, kind)

@@ -84,6 +84,9 @@ class ReplaySettings(Settings):
         "auto", "", OURS, "auto, columns (docs/recordings.md) or trunk", choices=("auto", "columns", "trunk")
     )
     rate: float = setting(100.0, "Hz", OURS, "for layouts without time stamps", above=0)
+    rest: int | None = setting(
+        None, "", OURS, "frames at the start in which the arm rests; null: those before the inputs first move", least=1
+    )
     direction: tuple[float, ...] | None = setting(
         None, "", OURS, "the way the resting arm points in the recording's frame; null: along its sensors"
     )

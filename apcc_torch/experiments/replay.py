@@ -32,7 +32,8 @@ def run(config: SimulateSettings, folder: Path) -> dict[str, float]:
     sensor. With controller.adaptive=true the whole controller looks on and adapts, driven by the recorded target.
 
     Raises:
-        ConfigError: No data is named, adaptation is asked without a recorded target, or a setting has no meaning.
+        ConfigError: No data is named, the rest cannot be told, adaptation is asked without a recorded target, or a
+            setting has no meaning.
         DataError: The recording cannot be read.
     """
     started = time.perf_counter()
@@ -46,8 +47,11 @@ def run(config: SimulateSettings, folder: Path) -> dict[str, float]:
         # These recordings hold neither the way gravity points nor the base; what is known of them stands in.
         direction = TRUNK_DIRECTION if direction is None else direction
         base_position = TRUNK_BASE if base_position is None and r.first_abscissa is None else base_position
+    if r.rest is None and recording.inputs is None:
+        raise ConfigError(f"replay.rest must be given: {recording.source} has no inputs to find the rest by")
     calibration = calibrate(
         recording,
+        rest=r.rest,
         direction=direction,
         forward=r.forward,
         base_position=base_position,

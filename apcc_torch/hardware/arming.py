@@ -45,7 +45,7 @@ def arm(setup: Setup, journal: Journal) -> Array:
     moved = float(np.abs(after.y - before.y).max())
     if not moved <= loop.arm_margin:
         raise SafetyError(f"a tendon moved by {1e3 * moved:.2f} mm as torque went on")
-    return limits.nearest(after.y)
+    return setup.actuator.rounded(limits.nearest(after.y), limits.lower, limits.upper)
 
 
 def complete_frame(setup: Setup) -> GatedFrame:

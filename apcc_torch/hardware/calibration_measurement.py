@@ -158,7 +158,8 @@ class SignCheck:
             effort = self.actuator.read().effort
             if self.effort_cap is not None and not effort.max() <= self.effort_cap:
                 raise SafetyError(f"tendon {int(effort.argmax()) + 1} pulled with {effort.max():.0f} N")
-            sent = self.actuator.send(self.limits.clamp(goal, sent, self.period))
+            allowed = self.limits.clamp(goal, (sent, self.period))
+            sent = self.actuator.send(self.actuator.rounded(*allowed))
             sample = self.sensor.latest()
             if sample is not None and sample.valid[-1] and sample.stamp > start + REST:
                 tips[sample.sequence] = sample.T[-1, :3, 3]

@@ -37,6 +37,10 @@ class DryRunActuator(TendonActuator):
         """As the device."""
         return self.actuator.read()
 
+    def rounded(self, y: Array, low: Array, high: Array) -> Array:
+        """As the device."""
+        return self.actuator.rounded(y, low, high)
+
     def send(self, y: Array) -> Array:
         """Returns y (n_a,), m, as if it had been sent."""
         return y

@@ -38,6 +38,9 @@ class GuardSettings(Settings):
     range_margin: float = setting(5e-3, "m", OURS, "by which a measured length may leave the commands' range", least=0)
     overruns: int = setting(100, "", OURS, "so many missed deadlines within the window are allowed", least=0)
     overrun_window: float = setting(1.0, "s", OURS, "of the missed deadlines", above=0)
+    max_pause: float | None = setting(
+        1.0, "s", OURS, "in which the loop may stand still, as a stopped process does", above=0
+    )
     failed_exchanges: int = setting(5, "", OURS, "so many failed readings, or commands, in a row end the run", least=1)
     endings: Mapping[str, str] = setting(
         factory=dict, meaning="reason: hold or torque_off, where it is not the table's; see --help"
@@ -90,7 +93,7 @@ class Guards:
         self.slack = Dwell(settings.slack_dwell)
         self.arrival = Dwell(settings.arrival_dwell)
         self.failed_reads = self.failed_sends = 0
-        self.missed: deque[float] = deque()
+        self.missed: deque[tuple[float, int]] = deque()  # when, and how many
 
     def on_reading(self, reading: TendonReading, now: float) -> Stop | None:
         """Judges a reading at `now`, s."""
@@ -148,15 +151,24 @@ class Guards:
             return None
         return Stop(StopReason.COMMUNICATION, f"{count} {what} failed in a row, the last: {error}")
 
-    def on_overrun(self, now: float) -> Stop | None:
-        """Counts a missed deadline at `now`, s."""
-        self.missed.append(now)
-        while now - self.missed[0] > self.settings.overrun_window:
-            self.missed.popleft()
-        if len(self.missed) <= self.settings.overruns:
+    def on_overrun(self, missed: int, now: float) -> Stop | None:
+        """Counts deadlines that were missed up to `now`, s: a pause misses every one that falls into it."""
+        if not missed:
             return None
-        window = self.settings.overrun_window
-        return Stop(StopReason.OVERRUN, f"{len(self.missed)} missed deadlines within {window:g} s")
+        self.missed.append((now, missed))
+        while now - self.missed[0][0] > self.settings.overrun_window:
+            self.missed.popleft()
+        count = sum(several for _, several in self.missed)
+        if count <= self.settings.overruns:
+            return None
+        return Stop(StopReason.OVERRUN, f"{count} missed deadlines within {self.settings.overrun_window:g} s")
+
+    def on_pause(self, seconds: float) -> Stop | None:
+        """Judges the time since the loop was last seen to move, s."""
+        longest = self.settings.max_pause
+        if longest is None or seconds <= longest:
+            return None
+        return Stop(StopReason.PAUSED, f"the loop stood still for {seconds:.3f} s, the limit is {longest:g} s")
 
 
 def _mm(y: np.ndarray) -> list[float]:

@@ -115,6 +115,13 @@ class TendonActuator(Device):
     def read(self) -> TendonReading:
         """The tendons as they are now."""
 
+    def rounded(self, y: Array, low: Array, high: Array) -> Array:
+        """The lengths (n_a,) nearest to y that the motors can be told, from low to high, m.
+
+        Here y itself; motors that go in whole ticks say which, so that rounding does not leave a limit.
+        """
+        return y
+
     @abstractmethod
     def send(self, y: Array) -> Array:
         """Commands length changes (n_a,), m; returns what was really sent, after the device's own limits and ticks."""

@@ -60,21 +60,24 @@ class CommandLimits:
         """The lengths (n_a,) m in range that are nearest to y."""
         return np.clip(y, self.lower, self.upper)
 
-    def clamp(self, y: Array, last: Array, elapsed: float) -> Array:
+    def clamp(self, y: Array, *standing: tuple[Array, float]) -> tuple[Array, Array, Array]:
         """What may be sent of a wanted command.
 
         Args:
             y: (n_a,) wanted, m.
-            last: (n_a,) what was sent before, m.
-            elapsed: Time since then, s.
+            standing: What the motors may have been told before, (n_a,) m, each with the time since then, s.
 
         Returns:
-            (n_a,) m: in range, and no farther from `last` than rate and step allow, except back into range.
+            The nearest that may be sent, and the least and the greatest that may, (n_a,) m each: in range, and no
+            farther from each of `standing` than rate and step allow, except back into range.
 
         Raises:
-            SafetyError: y or last is not finite.
+            SafetyError: y or one of `standing` is not finite.
         """
-        if not (np.isfinite(y).all() and np.isfinite(last).all()):
-            raise SafetyError(f"a command must be finite, got {y} after {last}")
-        reach = np.minimum(self.rate * max(elapsed, 0.0), self.step)
-        return np.clip(np.clip(y, last - reach, last + reach), self.lower, self.upper)
+        low, high = self.lower, self.upper
+        for last, elapsed in standing:
+            if not (np.isfinite(y).all() and np.isfinite(last).all()):
+                raise SafetyError(f"a command must be finite, got {y} after {last}")
+            reach = np.minimum(self.rate * max(elapsed, 0.0), self.step)
+            low, high = np.maximum(low, self.nearest(last - reach)), np.minimum(high, self.nearest(last + reach))
+        return np.clip(y, low, high), low, high

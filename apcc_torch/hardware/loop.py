@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from apcc_torch.errors import ApccError, CommunicationError, HardwareError
 from apcc_torch.hardware.guards import Guards
 from apcc_torch.hardware.interfaces import Array
@@ -22,7 +24,8 @@ class Loop:
         sent: (n_a,) the lengths that count as sent, m.
 
     Attributes:
-        started_at: Zero of the run's time, s. ticks: Turns so far. overruns: Missed deadlines so far.
+        started_at: Zero of the run's time, s. ticks: Turns so far. overruns: Missed deadlines so far: those that had
+            passed when they could be served, a late one that was served among them.
     """
 
     def __init__(self, setup: Setup, journal: Journal, guards: Guards, sent: Array) -> None:
@@ -34,6 +37,7 @@ class Loop:
         # come through all the same.
         self.standing = [(sent, setup.clock.now())]
         self.started_at = self.standing[0][1] + setup.loop.period
+        self.seen_at = self.standing[0][1]  # when the loop was last seen to move, s
         self.ticks = 0
         self.overruns = 0
 
@@ -52,15 +56,28 @@ class Loop:
         while True:
             deadline = self.started_at + k * loop.period
             clock.wait_until(deadline)
-            self.turn(k, deadline)
-            self.ticks += 1
-            k += 1
-            now = clock.now()
-            if now > self.started_at + k * loop.period:
-                # The latest deadline that has passed is served at once; those before it are lost.
-                k = max(k, int((now - self.started_at) * loop.rate))
-                self.overruns += 1
-                halt_if(self.guards.on_overrun(now))
+            before = self.overruns
+            try:
+                self.turn(k, deadline)
+                self.ticks += 1
+            finally:
+                k = self._next(k + 1)
+            self._alive()
+            halt_if(self.guards.on_overrun(self.overruns - before, self.seen_at))
+
+    def _next(self, k: int) -> int:
+        """The deadline to serve, where `k` is the next: the latest that has passed, at once; those before are lost."""
+        late = self.setup.clock.now() - self.started_at
+        if late <= k * self.setup.loop.period:
+            return k
+        latest = max(k, int(late * self.setup.loop.rate))
+        self.overruns += latest - k + 1
+        return latest
+
+    def _alive(self) -> None:
+        """Halts if the loop has stood still for too long, wherever in the turn that was."""
+        before, self.seen_at = self.seen_at, self.setup.clock.now()
+        halt_if(self.guards.on_pause(self.seen_at - before))
 
     def turn(self, k: int, deadline: float) -> None:
         """One turn. Its record is kept however it ends."""
@@ -69,6 +86,7 @@ class Loop:
             k, now, now - self.started_at, deadline, now - deadline, self.journal.state, self.requested, self.sent
         )
         try:
+            self._alive()
             halt_if(self.setup.request.stop)
             halt_if(self.journal.failure())
             if tick.time >= self.setup.duration:
@@ -76,6 +94,8 @@ class Loop:
             self._read(tick)
             self._sense(tick)
             self._decide(tick)
+            self._alive()
+            halt_if(self.setup.sensing.missing(self.setup.clock.now()))
             self._send(tick)
         finally:
             tick.overruns, tick.failed = self.overruns, self.guards.failed
@@ -102,33 +122,38 @@ class Loop:
             raise Halt(Stop(StopReason.SENSOR_LOST, str(error))) from error
         tick.frame = self.setup.sensing.look(sample, clock.now())
         tick.sense = clock.now() - began
-        halt_if(self.setup.sensing.missing(clock.now()))
 
     def _decide(self, tick: Tick) -> None:
-        """Steps the controller where there is a new frame to step on; elsewhere its last wish stands."""
+        """Steps the controller where there is a new frame to step on; elsewhere its last wish stands.
+
+        A frame is judged by its age once more before the step and after it: the program may have been held up since.
+        """
         frame = tick.frame
         if frame is None or not frame.usable:
             return
         clock = self.setup.clock
         began = clock.now()
+        if not self.setup.sensing.in_time(frame, began):
+            tick.frame = replace(frame, age=began - frame.stamp, usable=False)
+            return
         try:
             tick.decision = self.setup.control.decide(frame, frame.stamp - self.started_at)
         except ApccError as error:
             raise Halt(Stop(StopReason.CONTROLLER_ERROR, str(error))) from error
         tick.control = clock.now() - began
         halt_if(self.guards.on_decision(tick.decision, clock.now()))
-        self.requested = tick.requested = tick.decision.y
+        if self.setup.sensing.in_time(frame, clock.now()):
+            self.requested = tick.requested = tick.decision.y
 
     def _send(self, tick: Tick) -> None:
         """Sends what the limits leave of the last wish: one out of reach is approached turn by turn."""
-        clock = self.setup.clock
+        self._alive()
+        clock, actuator, limits = self.setup.clock, self.setup.actuator, self.setup.limits
         began = clock.now()
-        y = self.requested
         # Each was within reach of those before it, so what is left is within reach of them all.
-        for last, at in self.standing:
-            y = self.setup.limits.clamp(y, last, began - at)
+        y = actuator.rounded(*limits.clamp(self.requested, *((last, began - at) for last, at in self.standing)))
         try:
-            self.sent = tick.sent = self.setup.actuator.send(y)
+            self.sent = tick.sent = actuator.send(y)
             self.standing = [(self.sent, began)]
             tick.fresh = True
             self.guards.on_sent()

@@ -93,6 +93,7 @@ class Sensing:
         self.repeats = 0
         self.since_usable = 0.0
         self.since_position = np.zeros(self.gate.sensors)
+        self.since_before = self.since_usable, self.since_position  # the last frame
 
     def begin(self, now: float) -> None:
         """What is missing is counted from now, s."""
@@ -124,6 +125,7 @@ class Sensing:
         stamp = torch.tensor(sample.stamp, dtype=torch.float64)
         self.state, verdict = self.gate(self.state, T, tracked, stamp)
         position_ok = verdict.position_ok.numpy()
+        self.since_before = self.since_usable, self.since_position
         if position_ok.any():
             self.since_usable = sample.stamp
         self.since_position = np.where(position_ok, sample.stamp, self.since_position)
@@ -138,6 +140,16 @@ class Sensing:
             verdict.orientation_reason.numpy(),
             bool(position_ok.any() if self.settings.partial == "mask" else position_ok.all()),
         )
+
+    def in_time(self, frame: GatedFrame, now: float) -> bool:
+        """Whether the last frame that was looked at may still be used at `now`, s.
+
+        The program may have been held up since: then the frame counts for nothing, as if it had come too late.
+        """
+        if now - frame.stamp <= self.settings.max_age:
+            return True
+        self.since_usable, self.since_position = self.since_before
+        return False
 
     def _held(self) -> Array:
         """The last accepted poses (k, 4, 4), m, of the model's frames, in the frame of the samples."""

@@ -34,6 +34,7 @@ class StopReason(Enum):
     CONTROLLER_ERROR = "controller_error", 41, Ending.HOLD, "the controller refused its input"
     DIVERGENCE = "divergence", 42, Ending.HOLD, "the position error exceeded its limit"
     OVERRUN = "overrun", 50, Ending.HOLD, "the loop missed too many deadlines"
+    PAUSED = "paused", 51, Ending.HOLD, "the loop stood still for too long"
     LOG_FAILED = "log_failed", 60, Ending.HOLD, "the log can no longer be written, as on a full disk"
     INTERNAL_ERROR = "internal_error", 70, Ending.TORQUE_OFF, "the program has an error; its log has the trace"
     INTERRUPTED = "interrupted", 130, Ending.HOLD, "Ctrl-C"

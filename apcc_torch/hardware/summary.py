@@ -2,29 +2,38 @@
 
 from __future__ import annotations
 
+from collections import deque
+
 import numpy as np
 
 from apcc_torch.hardware.control import Decision, Start
 from apcc_torch.hardware.records import Event, Outcome, Tick
+from apcc_torch.hardware.stage_times import StageTimes
 from apcc_torch.hardware.states import State
 
 STAGES = ("lateness", "read", "sense", "control", "send", "compute", "latency")
 """Times of a turn. `compute`: all stages of a turn with a step of the controller; `latency`: from that step's frame."""
-
-
+LAST = 5.0
+"""s at the end of which the largest error is told."""
 PERIOD = 0.05
-"""Least time between two decisions that are kept, s: a run may last for hours."""
+"""Least time between two decisions that are kept, s, until there are too many: then every other goes."""
+DECISIONS = 4096
+"""Most decisions that are kept, over the whole run."""
+EVENTS = 10_000
+"""Failed exchanges are kept among so many events; the log has all of them."""
 
 
 class Summary:
-    """Observes a run and keeps what its metrics need."""
+    """Observes a run and keeps what its metrics need, in a memory that does not grow with the run."""
 
     def __init__(self) -> None:
         self.events: list[Event] = []
-        self.errors: list[tuple[float, float]] = []
+        self.first_error: float | None = None
+        self.last_errors: deque[tuple[float, float]] = deque()  # time, s, and position error, m
         self.decisions: list[Decision] = []
-        self.times: dict[str, list[float]] = {name: [] for name in STAGES}
-        self.incomplete = self.clamped = 0
+        self.between = PERIOD
+        self.times = {name: StageTimes() for name in STAGES}
+        self.steps = self.incomplete = self.clamped = 0
         self.effort = 0.0
 
     def on_start(self, start: Start, time: float) -> None:
@@ -34,9 +43,9 @@ class Summary:
         """Counts a turn of the loop; a turn of the hold is none."""
         if tick.state is not State.RUNNING:
             return
-        self.times["lateness"].append(tick.lateness)
+        self.times["lateness"].add(tick.lateness)
         for name in ("read", "sense", "send"):
-            self.times[name].append(getattr(tick, name))
+            self.times[name].add(getattr(tick, name))
         if tick.frame is not None:
             self.incomplete += not tick.frame.complete
         if tick.reading is not None:
@@ -44,17 +53,33 @@ class Summary:
         if tick.fresh and tick.decision is not None:
             self.clamped += bool(np.abs(tick.sent - tick.requested).max() > 1e-4)
         if tick.decision is not None:
-            self.errors.append((tick.decision.time, float(np.linalg.norm(tick.decision.e))))
-            if not self.decisions or tick.decision.time >= self.decisions[-1].time + PERIOD:
-                self.decisions.append(tick.decision)
-            self.times["control"].append(tick.control)
-            self.times["compute"].append(tick.read + tick.sense + tick.control + tick.send)
+            self._error(tick.decision.time, float(np.linalg.norm(tick.decision.e)))
+            self._decision(tick.decision)
+            self.times["control"].add(tick.control)
+            self.times["compute"].add(tick.read + tick.sense + tick.control + tick.send)
             if tick.latency is not None:
-                self.times["latency"].append(tick.latency)
+                self.times["latency"].add(tick.latency)
+
+    def _decision(self, decision: Decision) -> None:
+        if self.decisions and decision.time < self.decisions[-1].time + self.between:
+            return
+        self.decisions.append(decision)
+        if len(self.decisions) > DECISIONS:
+            self.decisions = self.decisions[::2]
+            self.between *= 2.0
+
+    def _error(self, time: float, error: float) -> None:
+        self.steps += 1
+        if self.first_error is None:
+            self.first_error = error
+        self.last_errors.append((time, error))
+        while self.last_errors[0][0] < time - LAST:
+            self.last_errors.popleft()
 
     def on_event(self, event: Event) -> None:
-        """Keeps the event."""
-        self.events.append(event)
+        """Keeps the event; of failed exchanges, which can be many, not more than there is room for."""
+        if len(self.events) < EVENTS or event.kind != "exchange_failed":
+            self.events.append(event)
 
     def failure(self) -> str | None:
         """Counting does not fail."""
@@ -66,28 +91,25 @@ class Summary:
         Args:
             outcome: How the run ended.
         """
-        steps = len(self.errors)
         metrics: dict[str, float] = {
             "exit_code": outcome.exit_code,
             "duration_s": outcome.duration,
             "turns": outcome.ticks,
-            "control_steps": steps,
+            "control_steps": self.steps,
             "missed_deadlines": outcome.overruns,
             "incomplete_frames": self.incomplete,
-            "clamped_share": self.clamped / max(steps, 1),
+            "clamped_share": self.clamped / max(self.steps, 1),
             "tension_max_N": self.effort,
         }
-        if self.errors:
-            e = np.array(self.errors)
-            metrics["end_effector_error_start_mm"] = 1e3 * e[0, 1]
-            metrics["end_effector_error_end_mm"] = 1e3 * e[-1, 1]
-            metrics["end_effector_error_last5s_max_mm"] = 1e3 * float(e[e[:, 0] >= e[-1, 0] - 5.0, 1].max())
-        for name, values in self.times.items():
-            if values:
-                p50, p99 = np.percentile(values, (50, 99))
+        if self.first_error is not None:
+            metrics["end_effector_error_start_mm"] = 1e3 * self.first_error
+            metrics["end_effector_error_end_mm"] = 1e3 * self.last_errors[-1][1]
+            metrics["end_effector_error_last5s_max_mm"] = 1e3 * max(error for _, error in self.last_errors)
+        for name, times in self.times.items():
+            if times.count:
                 metrics |= {
-                    f"{name}_p50_us": 1e6 * p50,
-                    f"{name}_p99_us": 1e6 * p99,
-                    f"{name}_max_us": 1e6 * max(values),
+                    f"{name}_p50_us": 1e6 * times.percentile(50),
+                    f"{name}_p99_us": 1e6 * times.percentile(99),
+                    f"{name}_max_us": 1e6 * times.largest,
                 }
         return {name: float(value) for name, value in metrics.items()}

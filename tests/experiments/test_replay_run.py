@@ -96,3 +96,18 @@ def test_what_is_missing_is_named_and_nothing_is_written(recorded: Path, tmp_pat
     with pytest.raises(ConfigError, match="layout"):
         run(tmp_path, recorded, "replay.layout=rows")
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("kept", [(), ("u",), ("phi",), ("target",), ("tracked",), ("u", "phi", "target", "tracked")])
+def test_what_is_optional_may_be_missing(kept: tuple[str, ...], recorded: Path, tmp_path: Path) -> None:
+    lines = [line.split(",") for line in recorded.read_text().splitlines()]
+    lines = [[*line, "phi1" if k == 0 else str(k)] for k, line in enumerate(lines)]
+    optional = ("u1", "phi1", "target_", "_tracked")
+    wanted = [k for k, c in enumerate(lines[0]) if not any(o in c for o in optional) or any(o in c for o in kept)]
+    path = tmp_path / "recording.csv"
+    path.write_text("\n".join(",".join(line[k] for k in wanted) for line in lines) + "\n")
+    if "u" not in kept:
+        with pytest.raises(ConfigError, match=rf"replay\.rest must be given: .*{path.name} has no inputs"):
+            run(tmp_path / "refused", path)
+    metrics = run(tmp_path / "run", path, "replay.frames=5", f"replay.rest={REST}")
+    assert metrics["frames"] == 5 and metrics["sensor_error_linear_mean_mm"] < 0.5

@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 import math
+import os
+import subprocess
+import sys
 import time
 from collections.abc import Callable
+from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from enum import Enum, auto
 from pathlib import Path
+from unittest.mock import patch
 
 import numpy as np
 
@@ -49,11 +54,14 @@ HELD, LET_GO, UNTOUCHED = Left
 class Scene:
     """A calibrated platform, and the way the controller is spoilt.
 
-    spoilt: What is made of every decision of the controller.
+    spoilt: What is made of every decision of the controller. held_up: s that pass between taking a frame and its use.
+    over: What is to be taken back once the run is over.
     """
 
     platform: EmulatedPlatform
     calibration: Path
+    over: ExitStack
+    held_up: float = 0.0
     spoilt: Callable[[Decision], Decision] = field(default=lambda decision: decision)
 
     @property
@@ -87,7 +95,7 @@ class Fault:
     @staticmethod
     def every() -> list[Fault]:
         """The whole table."""
-        return [*MOTORS_WRONG, *CAMERAS_WRONG, *CONTROLLER_WRONG, *WRONG_FROM_THE_START]
+        return [*MOTORS_WRONG, *CAMERAS_WRONG, *CONTROLLER_WRONG, *COMPUTER_WRONG, *WRONG_FROM_THE_START]
 
     @staticmethod
     def survived(name: str, make: Make) -> Fault:
@@ -99,6 +107,11 @@ class Fault:
 def full_disk() -> Fault:
     """A disk that can take no more of the log; the program has to be in a process of its own."""
     return Fault("a full disk", lambda scene: None, R.LOG_FAILED, "the log cannot be written", HELD)
+
+
+def stopped() -> Fault:
+    """A process that is stopped for a while and goes on; it has to be one of its own."""
+    return Fault("a stopped process", lambda scene: None, R.PAUSED, "the loop stood still for 1", HELD)
 
 
 def servo(order: str, **details: float) -> Make:
@@ -119,6 +132,33 @@ def version(*numbers: int) -> Make:
 def controller(spoilt: Callable[[Decision], Decision]) -> Make:
     """A controller whose decisions are spoilt from now on."""
     return lambda scene: setattr(scene, "spoilt", spoilt)
+
+
+def clock_set(scene: Scene) -> None:
+    """The wall clock is set back by an hour, and then on by a day."""
+    seconds, nanoseconds = time.time, time.time_ns
+    for step in (-3600, 86_400):
+        scene.over.enter_context(patch.object(time, "time", lambda step=step: seconds() + step))
+        scene.over.enter_context(patch.object(time, "time_ns", lambda step=step: nanoseconds() + step * 10**9))
+        time.sleep(0.2)
+
+
+BUSY = "import os, sys\nos.sched_setaffinity(0, {int(sys.argv[1])})\nwhile True: pass"
+
+
+def starved(scene: Scene) -> None:
+    """Four programs that never wait share the loop's processor with it."""
+    allowed = os.sched_getaffinity(os.getpid())  # of the main thread, where the loop is
+    scene.over.callback(os.sched_setaffinity, os.getpid(), allowed)
+    one = min(allowed)
+    for _ in range(4):
+        busy = scene.over.enter_context(subprocess.Popen([sys.executable, "-c", BUSY, str(one)]))
+        scene.over.callback(busy.kill)
+    os.sched_setaffinity(os.getpid(), {one})
+
+
+def held_up(scene: Scene) -> None:
+    scene.held_up = 0.5
 
 
 def not_finite(decision: Decision) -> Decision:
@@ -161,7 +201,8 @@ def stale(name: str, make: Make, *settings: str) -> Fault:
 
 def dropped(name: str, make: Make, body: str) -> Fault:
     """One body that cannot be used."""
-    given = (SLOW, "guards.sensing.dropout=0.3")
+    # A busy machine may be without any frame for a moment; a body that is gone stays away for ever.
+    given = (SLOW, "guards.sensing.dropout=1.0")
     return Fault(name, make, R.SENSOR_DROPOUT, f"body {body} not usable", HELD, settings=given)
 
 
@@ -230,9 +271,19 @@ CONTROLLER_WRONG = [
     overrun("a controller that is too slow", controller(slow)),
 ]
 
+FRESH = (SLOW, "guards.sensing.max_age=0.4", "guards.sensing.stale=1.2")
+FAST = (SLOW, "loop.rate=500", "guards.overruns=100")
+
+COMPUTER_WRONG = [
+    Fault("frames that grow old before they are used", held_up, R.SENSOR_STALE, r"frame for 1\.", HELD, settings=FRESH),
+    Fault("a starved processor", starved, R.OVERRUN, "missed deadlines within 1 s", HELD, settings=FAST),
+    Fault.survived("a wall clock that is set", clock_set),
+]
+
 WRONG_FROM_THE_START = [
     first("a wrong model", servo("poke", address=0, length=2, value=1020), f"{NAME} is model 1020, not 1030"),
     first("too old a firmware", servo("poke", address=6, length=1, value=37), f"{NAME} has firmware 37, older than 38"),
+    first("homing offset", servo("poke", address=20, length=4, value=100), f"{NAME} has homing offset 100, needs 0"),
     first("torque already on", servo("poke", address=64, length=1, value=1), f"{NAME} holds torque", torqued=MOTOR),
     first("a hardware error from before", servo("poke", address=70, length=1, value=32), f"{NAME} reports overload"),
     first("a motor that is not there", servo("mute"), f"{NAME}: no reply"),

@@ -22,6 +22,7 @@ ROOT = Path(apcc_torch.__file__).resolve().parents[1]
 # A busy machine may starve the loop: these runs are about how they end.
 PATIENT = (
     "loop.warm_up=5", "loop.fresh_timeout=60", "loop.fresh_frames=2", "loop.hold=0.2", "guards.overruns=100000",
+    "guards.max_pause=100",
     "guards.sensing.max_age=100", "guards.sensing.stale=100", "guards.sensing.dropout=100",
     "guards.sensing.gate.max_speed=100", "guards.sensing.gate.max_angular_rate=1000", "guards.max_error=null",
     "hardware.sensor.timeout=30", "calibration.frames=5", "calibration.timeout=60", "view=false",

@@ -9,7 +9,7 @@ import apcc_torch
 from apcc_torch.hardware.stops import Ending, StopReason
 from apcc_torch.reading import plain
 from composed import composed_realtime
-from hardware.faults import Fault, Left, full_disk
+from hardware.faults import Fault, Left, full_disk, stopped
 
 PAGE = (Path(apcc_torch.__file__).resolve().parents[1] / "docs" / "hardware.md").read_text()
 DONE = {Ending.HOLD: "held", Ending.TORQUE_OFF: "let go"}
@@ -23,7 +23,7 @@ def test_the_table_of_stops_is_the_programs() -> None:
 def test_the_table_of_faults_is_that_of_the_tests() -> None:
     left = {Left.HELD: "held", Left.LET_GO: "let go", Left.UNTOUCHED: "left as it was"}
     rows = re.findall(r"^\| ([a-zA-Z ]+) \| `(\w+)` \| (\d+) \| ([a-z ]+).* \|$", PAGE, re.MULTILINE)
-    expected = [*Fault.every(), full_disk()]
+    expected = [*Fault.every(), full_disk(), stopped()]
     assert rows == [(fault.name, fault.reason.value, str(fault.reason.code), left[fault.left]) for fault in expected]
 
 

@@ -11,10 +11,12 @@ import json
 import logging
 import re
 import resource
+import signal
 import sys
 import threading
 import time
 from collections.abc import Iterator
+from contextlib import ExitStack
 from pathlib import Path
 
 import numpy as np
@@ -22,11 +24,13 @@ import pytest
 
 from apcc_torch import robot
 from apcc_torch.hardware.control import Control
+from apcc_torch.hardware.interfaces import PoseSample
 from apcc_torch.hardware.log_reader import RobotLog, read_log
+from apcc_torch.hardware.sensing import GatedFrame, Sensing
 from apcc_torch.hardware.stops import StopReason
 from apcc_torch.robot_log import main as robot_log
 from hardware.emulators.rig import MOTORS, EmulatedPlatform
-from hardware.faults import AT_ONCE, BEFORE, HOLD, UNDER_WAY, Fault, Left, Scene, full_disk
+from hardware.faults import AT_ONCE, BEFORE, HOLD, UNDER_WAY, Fault, Left, Scene, full_disk, stopped
 from hardware.platform_runs import DEADLINE, SLOW, arguments, calibrated, moving, program, until
 
 STATES = {
@@ -43,12 +47,20 @@ def platform(tmp_path_factory: pytest.TempPathFactory) -> Iterator[EmulatedPlatf
 
 
 @pytest.fixture
-def scene(platform: EmulatedPlatform, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Scene:
+def scene(platform: EmulatedPlatform, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Scene]:
     """The platform as it hangs, calibrated, and a controller that can be broken."""
-    scene = Scene(platform, calibrated(platform, tmp_path))
-    decide = Control.decide
-    monkeypatch.setattr(Control, "decide", lambda *given: scene.spoilt(decide(*given)))
-    return scene
+    decide, look = Control.decide, Sensing.look
+
+    def looked(sensing: Sensing, sample: PoseSample | None, now: float) -> GatedFrame | None:
+        frame = look(sensing, sample, now)
+        time.sleep(scene.held_up)
+        return frame
+
+    with ExitStack() as over:
+        scene = Scene(platform, calibrated(platform, tmp_path), over)
+        monkeypatch.setattr(Control, "decide", lambda *given: scene.spoilt(decide(*given)))
+        monkeypatch.setattr(Sensing, "look", looked)
+        yield scene
 
 
 @pytest.fixture(autouse=True)
@@ -161,6 +173,23 @@ def test_a_disk_that_fills_up(scene: Scene) -> None:
     assert "Traceback" not in told
     check_log(scene.folder, fault)
     check_motors(scene.platform, fault, {})
+
+
+def test_a_process_that_is_stopped_and_goes_on(scene: Scene) -> None:
+    """It knows that it stood still, counts every period that it missed, and brings the arm to rest."""
+    fault = stopped()
+    patient = ("guards.max_pause=0.8", "hardware.actuator.bus_watchdog=2.54", f"loop.hold={HOLD}")
+    with program(scene.platform, scene.calibration, SLOW, *patient) as run:
+        until(lambda: logged(scene.folder, "running") and moving(scene.platform))
+        run.send_signal(signal.SIGSTOP)
+        time.sleep(1.2)
+        run.send_signal(signal.SIGCONT)
+        told = run.communicate(timeout=DEADLINE)[0]
+    assert run.returncode == 51 and "paused: the loop stood still for 1." in told, told
+    check_log(scene.folder, fault)
+    check_motors(scene.platform, fault, {})
+    metrics = json.loads((scene.folder / "metrics.json").read_text())
+    assert metrics["missed_deadlines"] >= 50, "1.2 s at 50 Hz"
 
 
 def test_kill_9(scene: Scene) -> None:

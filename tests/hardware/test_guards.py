@@ -30,7 +30,7 @@ def test_the_overrun_budget_counts_within_its_window(gaps: list[float], budget: 
     for gap in gaps:
         times.append((times[-1] if times else 0.0) + gap)
         recent = [t for t in times if times[-1] - t <= 1.0]
-        assert (guards.on_overrun(times[-1]) is not None) == (len(recent) > budget)
+        assert (guards.on_overrun(1, times[-1]) is not None) == (len(recent) > budget)
 
 
 def test_readings_and_commands_fail_apart() -> None:

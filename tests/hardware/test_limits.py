@@ -19,21 +19,21 @@ def limits(n: int = 1, rate: float = 0.2, step: float = 0.003) -> CommandLimits:
 
 @given(wanted=number, last=st.floats(-0.03, 0.01), elapsed=st.floats(0.0, 0.1))
 def test_clamped_is_in_range_reachable_and_the_nearest_such(wanted: float, last: float, elapsed: float) -> None:
-    sent = float(limits().clamp(np.array([wanted]), np.array([last]), elapsed)[0])
+    sent, least, greatest = (float(v[0]) for v in limits().clamp(np.array([wanted]), (np.array([last]), elapsed)))
     reach = min(0.2 * elapsed, 0.003)
     low, high = max(-0.03, last - reach), min(0.01, last + reach)
-    assert low - 1e-15 <= sent <= high + 1e-15
+    assert low - 1e-15 <= sent <= high + 1e-15 and (least, greatest) == pytest.approx((low, high), abs=1e-15)
     assert sent == pytest.approx(min(max(wanted, low), high), abs=1e-15)
 
 
 def test_from_outside_it_goes_back_into_range() -> None:
-    assert limits().clamp(np.array([0.5]), np.array([0.02]), 0.01)[0] == 0.01
+    assert limits().clamp(np.array([0.5]), (np.array([0.02]), 0.01))[0] == 0.01
 
 
 @pytest.mark.parametrize(("wanted", "last"), [(np.nan, 0.0), (np.inf, 0.0), (0.0, np.nan)])
 def test_nothing_that_is_not_finite_is_clamped(wanted: float, last: float) -> None:
     with pytest.raises(SafetyError, match="finite"):
-        limits().clamp(np.array([wanted]), np.array([last]), 0.01)
+        limits().clamp(np.array([wanted]), (np.array([last]), 0.01))
 
 
 @pytest.mark.parametrize("change", [{"rate": 0.0}, {"step": -1.0}, {"rate": np.inf}])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,7 +15,9 @@ from apcc_torch.hardware.limits import CommandLimits
 from apcc_torch.hardware.log import RunLog
 from apcc_torch.hardware.log_format import layouts
 from apcc_torch.hardware.log_reader import read_log
+from apcc_torch.hardware.loop import Loop
 from apcc_torch.hardware.sensing import Sensing
+from apcc_torch.hardware.setup import LoopSettings
 from apcc_torch.hardware.states import State
 from apcc_torch.hardware.stops import Ending, StopReason
 from fake_devices import Fault
@@ -56,7 +59,7 @@ def test_an_undisturbed_run_ends_after_its_duration_held() -> None:
     assert states == [State.ARMED, State.RUNNING, State.HOLD, State.DISARMED]
     # The wish was far: it was approached at the rate limit and reached.
     sent = np.array([y for _, y, _ in run.actuator.commands])
-    assert np.allclose(sent[0], -0.002 - 0.002) and np.allclose(sent[-1], -0.01)
+    assert np.allclose(sent[0], -0.0021 - 0.002) and np.allclose(sent[-1], -0.01)
     assert run.actuator.held
     check_commands(run)
     check_end(run)
@@ -189,6 +192,70 @@ def test_torque_off_that_fails_is_a_fault_and_is_said() -> None:
     assert any("watchdog" in event.message for event in run.witness.events)
 
 
+STAGES = ("turn", "_read", "_sense", "_decide", "_send", "_next")
+
+
+def stopped(monkeypatch: pytest.MonkeyPatch, stage: str, seconds: float) -> None:
+    """The process stands still for a while, once, just before a stage of the loop."""
+    original, over = getattr(Loop, stage), []
+
+    def late(loop: Loop, *given: Any) -> Any:
+        if not over and loop.setup.clock.now() >= AT:
+            over.append(stage)
+            loop.setup.clock.wait_until(loop.setup.clock.now() + seconds)
+        return original(loop, *given)
+
+    monkeypatch.setattr(Loop, stage, late)
+
+
+@pytest.mark.parametrize("stage", STAGES)
+def test_a_stopped_process_ends_the_run_and_every_period_it_missed_counts(
+    stage: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    stopped(monkeypatch, stage, 2.005)
+    run = fake_run(loop=LoopSettings(rate=50.0, warm_up=2, hold=0.1), duration=5.0)
+    assert run.outcome.reason is R.PAUSED and "stood still for 2.0" in run.outcome.message
+    assert (run.outcome.ending, run.outcome.state) == (Ending.HOLD, State.DISARMED)
+    assert run.outcome.overruns == 100
+    check_commands(run)
+    check_end(run)
+
+
+def patient() -> Sensing:
+    """One that waits long for a frame."""
+    return Sensing(builder().sensors_at(), builder().base_rotation(), SENSING.changed(stale=5.0, dropout=5.0))
+
+
+@pytest.mark.parametrize("stage", STAGES)
+def test_after_a_pause_that_is_allowed_no_old_frame_is_used(stage: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    stopped(monkeypatch, stage, 1.005)
+    run = fake_run(
+        [Fault("turned_round", AT + 0.5)],  # what a frame after the pause asks for
+        replace(GUARDS, max_pause=None, overruns=1000),
+        sensing=patient(),
+        loop=LoopSettings(rate=50.0, warm_up=2, hold=0.1),
+        duration=3.0,
+    )
+    assert run.outcome.reason is R.DURATION and run.outcome.overruns == 50
+    running = [tick for tick in run.witness.ticks if tick.state is State.RUNNING]
+    for tick in running:
+        if tick.decision is not None:
+            assert tick.frame is not None and tick.frame.usable and tick.frame.age <= SENSING.max_age
+    assert any(tick.decision is not None for tick in running[-10:]), "it went on"
+    check_commands(run)
+
+
+def test_a_command_from_a_frame_that_grew_old_in_the_step_is_not_sent() -> None:
+    """The process is stopped within the controller's step: the next frame's wish is the first that counts."""
+    faults = [Fault("stopped", AT, AT + 0.005), Fault("turned_round", AT)]
+    run = fake_run(faults, replace(GUARDS, overruns=1000), sensing=patient())
+    late = next(tick for tick in run.witness.ticks if tick.control > 0.1)
+    assert late.decision is not None and (late.decision.y > 0).all() and (late.requested < 0).all()
+    after = next(tick for tick in run.witness.ticks if tick.index > late.index)
+    assert (after.requested > 0).all() and run.outcome.reason is R.DURATION
+    check_commands(run)
+
+
 def test_endings_can_be_chosen() -> None:
     chosen = replace(GUARDS, endings={"effort_cap": "hold", "duration": "torque_off"})
     assert fake_run([Fault("effort_peak", AT)], chosen).outcome.ending is Ending.HOLD
@@ -233,12 +300,12 @@ faults = st.builds(
 
 
 @settings(max_examples=60)
-@given(schedule=st.lists(faults, max_size=5), wild=st.booleans())
+@given(schedule=st.lists(faults, max_size=5), wild=st.booleans(), coarse=st.booleans())
 def test_no_fault_sends_a_command_outside_the_limits(
-    tmp_path_factory: pytest.TempPathFactory, schedule: list[Fault], wild: bool
+    tmp_path_factory: pytest.TempPathFactory, schedule: list[Fault], wild: bool, coarse: bool
 ) -> None:
     path = tmp_path_factory.mktemp("log") / "log.mcap"
-    asked = [*schedule, Fault("wild", 0.0)] if wild else schedule
+    asked = [*schedule, *[Fault("wild", 0.0)] * wild, *[Fault("coarse", 0.0)] * coarse]
     with RunLog(path.open("wb"), layouts(9, 3, 3, 9), 0.0, {"versions": {"a": "1"}}, {"config.yaml": "x: 1\n"}) as log:
         run = fake_run(asked, observers=(log,), duration=1.0)
     check_commands(run)

@@ -17,6 +17,7 @@ import apcc_torch
 from apcc_torch.composition.build import Builder
 from apcc_torch.errors import CommunicationError, HardwareError, ValueRangeError
 from apcc_torch.hardware.clock import MonotonicClock, VirtualClock
+from apcc_torch.hardware.simulated import process
 from apcc_torch.hardware.simulated.actuator import SimulatedActuator
 from apcc_torch.hardware.simulated.actuator import SimulatedActuatorSettings as Motors
 from apcc_torch.hardware.simulated.arm import SimulatedArm
@@ -79,6 +80,16 @@ def test_motors_go_where_they_are_sent_in_ticks_and_at_their_speed() -> None:
         assert np.allclose(reading.y, sent, atol=1e-12)
         assert reading.raw["position"] == [round(v) for v in sent / 1e-4]
         assert reading.stamp == pytest.approx(clock.now())
+
+
+def test_rounding_to_ticks_keeps_within_what_may_be_sent() -> None:
+    _, actuator, _ = lockstep(resolution=1e-4)
+    last = actuator.rounded(np.linspace(-0.02, 0.0, 9), np.full(9, -1.0), np.full(9, 1.0))
+    for reach in (0.0, 0.49e-4, 0.51e-4, 3.5e-4):
+        for wish in (-1.0, 1.0):
+            y = np.clip(wish, last - reach, last + reach)
+            sent = actuator.rounded(y, last - reach, last + reach)
+            assert (np.abs(sent - last) <= reach + 1e-12).all() and (np.abs(sent - y) < 1e-4).all()
 
 
 def test_the_arm_is_the_plant_of_the_simulations() -> None:
@@ -206,6 +217,18 @@ def test_the_process_runs_in_real_time_and_its_death_is_noticed() -> None:
             sensor.latest()
         actuator.torque_off()
     assert not world.is_open
+
+
+def test_an_arm_that_does_not_begin_in_time_is_told_from_one_that_ended(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What has to be built is built before that time begins."""
+    built: list[bool] = []
+    arm = simulated()
+    steppers = SimulatedArm.steppers
+    monkeypatch.setattr(SimulatedArm, "steppers", lambda self: built.append(True) or steppers(self))
+    monkeypatch.setattr(process, "START_TIMEOUT", 0.0)
+    with pytest.raises(CommunicationError, match="did not begin within 0 s"):
+        ProcessWorld(arm, MonotonicClock()).open("test")
+    assert built == [True]
 
 
 OWNER = """

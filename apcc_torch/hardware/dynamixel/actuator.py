@@ -211,6 +211,11 @@ class DynamixelActuator(TendonActuator):
             raw=raw,
         )
 
+    def rounded(self, y: Array, low: Array, high: Array) -> Array:
+        """The lengths (n_a,) of the ticks nearest to y, from low to high and within the limits, m."""
+        spools = self._zeroed()
+        return spools.length(spools.clip(np.clip(spools.ticks(y), *spools.between(low, high))))
+
     def send(self, y: Array) -> Array:
         """Goals for all tendons in one packet, within the limits and in whole ticks; returns what was sent, m.
 

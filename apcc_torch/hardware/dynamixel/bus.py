@@ -105,7 +105,7 @@ class DynamixelBus:
             packet, result = self.packets.rxPacket(self.port, False)
             if result == COMM_SUCCESS:
                 motor = packet[ID]
-                if motor in motors:
+                if motor in motors and motor not in answers and motor not in wrong:
                     try:
                         answers[motor] = self._data(motor, packet, length)
                     except HardwareError as error:

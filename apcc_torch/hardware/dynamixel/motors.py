@@ -13,28 +13,44 @@ from apcc_torch.hardware.dynamixel.registers import (
     CURRENT_LIMIT,
     CURRENT_UNIT,
     DRIVE_MODE,
+    FEEDFORWARD_1ST_GAIN,
+    FEEDFORWARD_2ND_GAIN,
     FIRMWARE_VERSION,
     GOAL_CURRENT,
     GOAL_POSITION,
+    GOAL_PWM,
     HARDWARE_ERROR,
+    HOMING_OFFSET,
     INDIRECT_ADDRESS,
     INDIRECT_DATA,
+    MAX_POSITION_LIMIT,
+    MAX_PWM,
+    MAX_VELOCITY_LIMIT,
+    MIN_POSITION_LIMIT,
     MODEL_NUMBER,
+    NO_SECONDARY_ID,
     OPERATING_MODE,
     OPERATING_MODES,
+    POSITION_D_GAIN,
+    POSITION_I_GAIN,
+    POSITION_P_GAIN,
     PRESENT_POSITION,
     PROFILE_ACCELERATION,
     PROFILE_VELOCITY,
+    PWM_LIMIT,
     RETURN_DELAY,
+    SECONDARY_ID,
     SHUTDOWN,
     STARTUP_CONFIGURATION,
     STATUS_RETURN_LEVEL,
     TICKS_PER_TURN,
     TORQUE_ENABLE,
+    VELOCITY_LIMIT,
     VELOCITY_UNIT,
+    Register,
     hardware_errors,
 )
-from apcc_torch.hardware.dynamixel.settings import DynamixelSettings
+from apcc_torch.hardware.dynamixel.settings import MAX_ID, DynamixelSettings
 from apcc_torch.hardware.dynamixel.status import (
     ANSWERS_EVERYTHING,
     STATUS_LENGTH,
@@ -70,12 +86,15 @@ class Motors:
         self.armed = False
 
     def check(self) -> None:
-        """Refuses motors that are not those of the settings, or not fit to run. Writes nothing but a release.
+        """Refuses motors that are not those of the settings, or not fit to run.
+
+        It writes nothing but a release, and takes the mark of its calibration off a motor that shifts its positions.
 
         Raises:
             CommunicationError: A motor does not answer.
             DeviceFaultError: A hardware error is latched.
-            HardwareError: Wrong model, too old a firmware, or torque that nobody is known to have switched on.
+            HardwareError: Wrong model, too old a firmware, an offset of its positions, or torque that nobody is known
+                to have switched on.
         """
         for motor in self.ids:
             self.bus.ping(motor)
@@ -87,6 +106,12 @@ class Motors:
         for motor in torqued:
             log.warning("%s held torque and is let go", self.bus.name(motor))
             self.bus.write(motor, TORQUE_ENABLE, 0)
+        for motor in self.ids:
+            if offset := self.bus.read(motor, HOMING_OFFSET):
+                # Not written here: whoever set it has to know that lengths from before mean something else.
+                erase_mark(self.bus, motor)
+                wrong = self._wrong(motor, HOMING_OFFSET, offset, 0)
+                raise HardwareError(f"{wrong}: set it with DYNAMIXEL Wizard and calibrate again")
 
     def _check_one(self, motor: int) -> None:
         name = self.bus.name(motor)
@@ -97,24 +122,69 @@ class Motors:
         if errors := self.bus.read(motor, HARDWARE_ERROR):
             raise DeviceFaultError(f"{name} reports {hardware_errors(errors)}: turn its power off and on")
 
+    def _connected(self, motor: int) -> list[tuple[Register, int]]:
+        """What scales, shifts or limits a motor's motion, and what the driver lives by, in the order of writing."""
+        P, I, D = self.settings.position_gains  # noqa: E741 - as they are called
+        return [
+            (RETURN_DELAY, 0),
+            (DRIVE_MODE, 0),
+            (OPERATING_MODE, OPERATING_MODES[self.settings.mode]),
+            (SECONDARY_ID, NO_SECONDARY_ID),
+            (PWM_LIMIT, MAX_PWM),
+            (CURRENT_LIMIT, self.current_ticks[motor]),
+            (VELOCITY_LIMIT, MAX_VELOCITY_LIMIT),
+            (MAX_POSITION_LIMIT, TICKS_PER_TURN - 1),
+            (MIN_POSITION_LIMIT, 0),
+            (STARTUP_CONFIGURATION, 0),
+            (SHUTDOWN, SHUTDOWN_BITS),
+            (STATUS_RETURN_LEVEL, ANSWERS_EVERYTHING),
+            (POSITION_P_GAIN, P),
+            (POSITION_I_GAIN, I),
+            (POSITION_D_GAIN, D),
+            (FEEDFORWARD_1ST_GAIN, 0),
+            (FEEDFORWARD_2ND_GAIN, 0),
+        ]
+
+    def _armed(self, motor: int) -> list[tuple[Register, int]]:
+        """What a tripped watchdog has dropped, and what else limits the motion and does not outlive a restart."""
+        return [
+            (PROFILE_ACCELERATION, round(self.settings.profile_acceleration / ACCELERATION_UNIT)),
+            (PROFILE_VELOCITY, round(self.settings.profile_velocity / VELOCITY_UNIT)),
+            (GOAL_PWM, MAX_PWM),
+            (GOAL_CURRENT, self.current_ticks[motor]),
+        ]
+
     def configure(self) -> None:
-        """Writes what every connection needs, torque being off. What is kept without power is written if it differs."""
+        """Sets what every connection needs, torque being off: read of all, and written where it differs.
+
+        Raises:
+            CommunicationError: A motor does not answer.
+            DeviceFaultError: A motor does not take a setting; the sentence says what it has and what is needed.
+        """
+        needed = {motor: self._connected(motor) for motor in self.ids}
+        for k, (register, _) in enumerate(needed[self.ids[0]]):
+            found = self.bus.sync_read(self.ids, register.address, register.length)
+            for motor in self.ids:
+                self._set(motor, register, register.decode(found[motor]), needed[motor][k][1])
         for motor in self.ids:
-            for register, value in (
-                (RETURN_DELAY, 0),
-                (DRIVE_MODE, 0),
-                (OPERATING_MODE, OPERATING_MODES[self.settings.mode]),
-                (CURRENT_LIMIT, self.current_ticks[motor]),
-                (STARTUP_CONFIGURATION, 0),
-                (SHUTDOWN, SHUTDOWN_BITS),
-                (STATUS_RETURN_LEVEL, ANSWERS_EVERYTHING),
-            ):
-                if self.bus.read(motor, register) != value:
-                    self.bus.write(motor, register, value)
-                    if register is OPERATING_MODE:  # a motor forgets its turns on that
-                        erase_mark(self.bus, motor)
             self.bus.write(motor, BUS_WATCHDOG, 0)
             self.bus.write_bytes(motor, INDIRECT_ADDRESS, indirect_addresses())
+
+    def _set(self, motor: int, register: Register, found: int, needed: int) -> None:
+        """Writes a register that differs, and reads it back."""
+        if found == needed or (register is SECONDARY_ID and found > MAX_ID):  # all of those are none
+            return
+        try:
+            self.bus.write(motor, register, needed)
+        except DeviceFaultError as error:
+            raise DeviceFaultError(f"{self._wrong(motor, register, found, needed)}, and refuses it: {error}") from error
+        if (kept := self.bus.read(motor, register)) != needed:
+            raise DeviceFaultError(f"{self._wrong(motor, register, kept, needed)}, and does not take it")
+        if register in (OPERATING_MODE, DRIVE_MODE):  # a motor forgets its turns on that, or counted them the other way
+            erase_mark(self.bus, motor)
+
+    def _wrong(self, motor: int, register: Register, found: int, needed: int) -> str:
+        return f"{self.bus.name(motor)} has {register.name} {found}, needs {needed}"
 
     def status(self) -> dict[int, MotorStatus]:
         """Every motor's status block, whatever it says. Raises CommunicationError if one does not answer."""
@@ -139,14 +209,10 @@ class Motors:
         """
         try:
             for motor in self.ids:
-                # A tripped watchdog refuses goals until it is cleared, and has dropped the profile.
+                # A tripped watchdog refuses goals until it is cleared.
                 self.bus.write(motor, BUS_WATCHDOG, 0)
-                self.bus.write(
-                    motor, PROFILE_ACCELERATION, round(self.settings.profile_acceleration / ACCELERATION_UNIT)
-                )
-                self.bus.write(motor, PROFILE_VELOCITY, round(self.settings.profile_velocity / VELOCITY_UNIT))
-                self.bus.write(motor, GOAL_CURRENT, self.current_ticks[motor])
-                self.bus.write(motor, GOAL_POSITION, goals[motor])
+                for register, value in (*self._armed(motor), (GOAL_POSITION, goals[motor])):
+                    self.bus.write(motor, register, value)
             before = self._check_goals(goals)
             for motor in self.ids:
                 self.bus.write(motor, BUS_WATCHDOG, self.settings.watchdog_ticks)
@@ -164,12 +230,22 @@ class Motors:
             raise
 
     def _check_goals(self, goals: Mapping[int, int]) -> dict[int, int]:
-        """The positions, if no motor would turn further than to its goal; some let it follow them without torque."""
-        length = PRESENT_POSITION.address + PRESENT_POSITION.length - GOAL_POSITION.address
+        """The positions, if every limit is as written and no motor would turn further than to its goal.
+
+        Some let their goal follow them without torque.
+        """
+        first = GOAL_PWM.address
+        length = PRESENT_POSITION.address + PRESENT_POSITION.length - first
         positions = {}
-        for motor, data in self.bus.sync_read(self.ids, GOAL_POSITION.address, length).items():
-            goal = GOAL_POSITION.decode(data[: GOAL_POSITION.length])
-            position = PRESENT_POSITION.decode(data[-PRESENT_POSITION.length :])
+        for motor, data in self.bus.sync_read(self.ids, first, length).items():
+
+            def held(register: Register, data: bytes = data) -> int:
+                return register.decode(data[register.address - first :][: register.length])
+
+            for register, needed in self._armed(motor):
+                if (found := held(register)) != needed:
+                    raise DeviceFaultError(self._wrong(motor, register, found, needed))
+            goal, position = held(GOAL_POSITION), held(PRESENT_POSITION)
             if abs(goal - position) > abs(goals[motor] - position) + GOAL_SLACK:
                 raise DeviceFaultError(f"{self.bus.name(motor)} has goal {goal} instead of {goals[motor]}")
             positions[motor] = position

@@ -47,7 +47,13 @@ FIRMWARE_VERSION = Register("firmware version", 6, 1)
 RETURN_DELAY = Register("return delay time", 9, 1)
 DRIVE_MODE = Register("drive mode", 10, 1)
 OPERATING_MODE = Register("operating mode", 11, 1)
+SECONDARY_ID = Register("secondary id", 12, 1)
+HOMING_OFFSET = Register("homing offset", 20, 4, signed=True)
+PWM_LIMIT = Register("PWM limit", 36, 2)
 CURRENT_LIMIT = Register("current limit", 38, 2)
+VELOCITY_LIMIT = Register("velocity limit", 44, 4)
+MAX_POSITION_LIMIT = Register("max position limit", 48, 4)
+MIN_POSITION_LIMIT = Register("min position limit", 52, 4)
 STARTUP_CONFIGURATION = Register("startup configuration", 60, 1)
 SHUTDOWN = Register("shutdown", 63, 1)
 
@@ -55,7 +61,13 @@ SHUTDOWN = Register("shutdown", 63, 1)
 TORQUE_ENABLE = Register("torque enable", 64, 1)
 STATUS_RETURN_LEVEL = Register("status return level", 68, 1)
 HARDWARE_ERROR = Register("hardware error status", 70, 1)
+POSITION_D_GAIN = Register("position D gain", 80, 2)
+POSITION_I_GAIN = Register("position I gain", 82, 2)
+POSITION_P_GAIN = Register("position P gain", 84, 2)
+FEEDFORWARD_2ND_GAIN = Register("feedforward 2nd gain", 88, 2)
+FEEDFORWARD_1ST_GAIN = Register("feedforward 1st gain", 90, 2)
 BUS_WATCHDOG = Register("bus watchdog", 98, 1, signed=True)
+GOAL_PWM = Register("goal PWM", 100, 2, signed=True)
 GOAL_CURRENT = Register("goal current", 102, 2, signed=True)
 PROFILE_ACCELERATION = Register("profile acceleration", 108, 4)
 PROFILE_VELOCITY = Register("profile velocity", 112, 4)
@@ -75,6 +87,10 @@ WATCHDOG_UNIT = 0.02  # s
 WATCHDOG_TRIPPED = -1
 CURRENT_UNIT = 2.69e-3  # A
 MAX_CURRENT_TICKS = 1193
+MAX_PWM = 885  # all of the supply's voltage
+MAX_VELOCITY_LIMIT = 1023  # in VELOCITY_UNIT; no profile may be faster than the limit
+NO_SECONDARY_ID = 255
+MAX_GAIN = 16_383
 VELOCITY_UNIT = 0.229 * 2 * pi / 60  # rad/s
 ACCELERATION_UNIT = 214.577 * 2 * pi / 3600  # rad/s^2
 MAX_PROFILE_TICKS = 32_767

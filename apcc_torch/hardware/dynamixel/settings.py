@@ -10,7 +10,9 @@ from apcc_torch.hardware.dynamixel.registers import (
     ACCELERATION_UNIT,
     CURRENT_UNIT,
     MAX_CURRENT_TICKS,
+    MAX_GAIN,
     MAX_PROFILE_TICKS,
+    MAX_VELOCITY_LIMIT,
     OPERATING_MODES,
     VELOCITY_UNIT,
     WATCHDOG_UNIT,
@@ -73,7 +75,7 @@ class DynamixelSettings(Settings):
         OURS,
         "of the motors' own way to a goal",
         above=VELOCITY_UNIT,
-        most=MAX_PROFILE_TICKS * VELOCITY_UNIT,
+        most=MAX_VELOCITY_LIMIT * VELOCITY_UNIT,
     )
     profile_acceleration: float = setting(
         40.0,
@@ -82,6 +84,14 @@ class DynamixelSettings(Settings):
         "of the motors' own way to a goal",
         above=ACCELERATION_UNIT,
         most=MAX_PROFILE_TICKS * ACCELERATION_UNIT,
+    )
+    position_gains: tuple[int, ...] = setting(
+        (800, 0, 0),
+        "",
+        OURS,
+        "P, I and D of the motors' own position control, as their registers have it: the maker's",
+        least=0,
+        most=MAX_GAIN,
     )
     bus_watchdog: float = setting(
         0.1,
@@ -114,6 +124,9 @@ class DynamixelSettings(Settings):
             raise ConfigError(f"ids must be whole numbers, and differ from each other and from gripper.id, got {ids}")
         if any(sign not in (-1, 1) for sign in self.each("signs")):
             raise ValueRangeError(f"signs must be -1 or 1, got {self.signs}")
+        gains = self.position_gains
+        if len(gains) != 3 or any(not isinstance(gain, int) for gain in gains):
+            raise ConfigError(f"position_gains must be three whole numbers, P, I and D, got {gains}")
         self.each("spool_radii")
         for lower, upper in zip(self.each("lower"), self.each("upper"), strict=True):
             if not lower < upper:

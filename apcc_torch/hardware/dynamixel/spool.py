@@ -48,7 +48,11 @@ class Spools:
     @property
     def bounds(self) -> tuple[Ticks, Ticks]:
         """Least and greatest ticks (n_a,) whose length is in the range."""
-        ends = np.stack([self.lower / self.length_per_tick, self.upper / self.length_per_tick])
+        return self.between(self.lower, self.upper)
+
+    def between(self, lower: Array, upper: Array) -> tuple[Ticks, Ticks]:
+        """Least and greatest ticks (n_a,) whose length is from `lower` to `upper` (n_a,), m."""
+        ends = np.stack([lower / self.length_per_tick, upper / self.length_per_tick])
         low = np.ceil(ends.min(0) - ROUND_OFF).astype(np.int64)
         high = np.floor(ends.max(0) + ROUND_OFF).astype(np.int64)
         return self.zero + low, self.zero + high

@@ -2,24 +2,32 @@
 
 Known are the bit stream versions 3.0 to 4.2. The parser trusts every count that a datagram holds, so its buffer is
 bounded here: a damaged count ends in an error at once, not in gigabytes or minutes. It misreads the end of a frame from
-4.1 on (the frame's parameters); only what stands before that is used.
+4.1 on (the frame's parameters); only what stands before that is used. What is not needed does not decide: it is skipped
+where it tells its size, and texts may hold what is no UTF-8.
 """
 
 from __future__ import annotations
 
 import math
 import struct
+from collections import Counter
+from collections.abc import Collection
 from dataclasses import dataclass
 from typing import Any
 
 from apcc_torch.errors import CommunicationError, HardwareError
 
 try:
-    from natnet.data_descriptions import DataDescriptions
-    from natnet.data_frame import DataFrame
+    from natnet.data_descriptions import (
+        CameraDescription,
+        DeviceDescription,
+        MarkerSetDescription,
+        RigidBodyDescription,
+        SkeletonDescription,
+    )
+    from natnet.data_frame import Device, ForcePlate, FrameSuffix, LabeledMarker, MarkerSet, RigidBody, Skeleton
     from natnet.exceptions import NatNetError
     from natnet.packet_buffer import PacketBuffer
-    from natnet.server_info import ServerInfo
     from natnet.version import Version
 except ModuleNotFoundError:  # the settings can be read all the same; who builds the sensor is told
     NatNetError, PacketBuffer = ValueError, object
@@ -36,9 +44,19 @@ MAX_DATAGRAM = 65535
 
 _HEADER = struct.Struct("<HH")  # message, bytes that follow
 _TICK_RATE = struct.Struct("<Q")
+_NAME = 256  # bytes of the server's name
+_SIZED = (4, 1)  # the first version that tells the size of each section and definition
+_BODY, _PLATE = 1, 3  # kinds of definitions
 
 # What the parser raises over a damaged datagram.
 _DAMAGED = (struct.error, ValueError, IndexError, OverflowError, NatNetError)
+
+
+# A frame's sections, in order.
+_SECTIONS = (
+    *("marker sets", "unlabelled markers", "rigid bodies", "skeletons", "assets"),
+    *("labelled markers", "force plates", "devices"),
+)
 
 
 @dataclass(frozen=True)
@@ -88,20 +106,34 @@ class Frame:
 
         Those are two readings of one clock, so the server's own delay is known. Without them the software stamp serves
         for both.
+
+        Raises:
+            CommunicationError: That one is needed, and is no number.
         """
         if tick_rate > 0 and 0 < self.mid_exposure <= self.transmit:
             return self.mid_exposure / tick_rate, self.transmit / tick_rate, True
+        if not math.isfinite(self.timestamp):
+            raise CommunicationError(f"a frame is stamped {self.timestamp}")
         return self.timestamp, self.timestamp, False
 
 
 class BoundedBuffer(PacketBuffer):
     """The parser's buffer, which never reads beyond its end."""
 
+    pointer: int
+
     def read_string(self, max_length: int | None = None, static_length: bool = False) -> str:
-        end = len(self.data) if max_length is None else self.pointer + max_length
-        if end > len(self.data) or b"\0" not in bytes(self.data[self.pointer : end]):
+        text, end, _ = bytes(self.data[self.pointer :]).partition(b"\0")
+        if not end:
             raise ValueError("a text does not end within the datagram")
-        return str(super().read_string(max_length, static_length))
+        self.pointer += len(text) + 1
+        return text.decode(errors="replace")
+
+    def skip_to(self, end: int) -> None:
+        """Goes on there, if that lies within the datagram and not before what has been read."""
+        if not self.pointer <= end <= len(self.data):
+            raise ValueError("a section is longer or shorter than it says")
+        self.pointer = end
 
     def read_float32_array(self, count: int) -> tuple[float, ...]:
         if count * 4 > len(self.data) - self.pointer:
@@ -148,13 +180,14 @@ def read_server(buffer: BoundedBuffer) -> Server:
         CommunicationError: It is damaged.
     """
     try:
-        info = ServerInfo.read_from_buffer(buffer, Version(0))
+        name = bytes(buffer.data[buffer.pointer : buffer.pointer + _NAME]).partition(b"\0")[0].decode(errors="replace")
+        buffer.skip_to(buffer.pointer + _NAME)
+        _, _, _, _, major, minor, _, _ = buffer.read("8B")
         rest = len(buffer.data) - buffer.pointer
         tick_rate = buffer.read(_TICK_RATE)[0] if rest >= _TICK_RATE.size else 0
     except _DAMAGED as error:
         raise CommunicationError(f"the server's answer cannot be read: {error}") from error
-    major, minor = info.nat_net_protocol_version.components[:2]
-    return Server(info.application_name, (int(major), int(minor)), int(tick_rate))
+    return Server(name, (int(major), int(minor)), int(tick_rate))
 
 
 def check_version(server: Server) -> None:
@@ -169,40 +202,94 @@ def check_version(server: Server) -> None:
         raise HardwareError(f"the server {server.name!r} streams NatNet {spoken}; known are {known}")
 
 
-def read_body_ids(buffer: BoundedBuffer, version: tuple[int, int]) -> dict[str, int]:
-    """Reads the model definitions: rigid bodies' streaming ids by name.
+def read_body_ids(
+    buffer: BoundedBuffer, version: tuple[int, int], wanted: Collection[str] = ()
+) -> list[tuple[str, int]]:
+    """Reads the model definitions: rigid bodies' names and streaming ids.
+
+    Definitions of all else are skipped, by their size where the version tells it. What follows the `wanted` names need
+    not be readable.
 
     Raises:
-        CommunicationError: They are damaged, or name two rigid bodies alike.
+        CommunicationError: They are damaged, or hold what is not known and has no size, and a name is not found.
     """
+    found: list[tuple[str, int]] = []
     try:
-        bodies = DataDescriptions.read_from_buffer(buffer, Version(*version)).rigid_bodies
+        for _ in range(buffer.read_uint32()):
+            kind = buffer.read_uint32()
+            end = buffer.read_uint32() + buffer.pointer if version >= _SIZED else None
+            if kind == _BODY and end is not None:
+                found.append((buffer.read_string(), buffer.read_uint32()))
+            elif end is None:
+                _read_unsized(kind, buffer, version, found)
+            if end is not None:
+                buffer.skip_to(end)
     except _DAMAGED as error:
-        raise CommunicationError(f"the model definitions cannot be read: {error}") from error
-    ids = {str(body.name): int(body.id_num) for body in bodies}
-    if len(ids) != len(bodies):
-        raise CommunicationError("the server has two rigid bodies of one name")
-    return ids
+        if not wanted or not set(wanted) <= {name for name, _ in found}:
+            raise CommunicationError(f"the model definitions cannot be read: {error}") from error
+    return found
+
+
+def _read_unsized(kind: int, buffer: BoundedBuffer, version: tuple[int, int], found: list[tuple[str, int]]) -> None:
+    """A definition that does not tell its size: it has to be read to be left."""
+    if kind == _PLATE:  # natnet reads three of the four corners
+        buffer.read_uint32(), buffer.read_string(), buffer.read_float32_array(2 + 3 + 12 * 12 + 4 * 3)
+        buffer.read_uint32(), buffer.read_uint32()
+        for _ in range(buffer.read_uint32()):
+            buffer.read_string()
+        return
+    kinds = {0: MarkerSetDescription, _BODY: RigidBodyDescription, 2: SkeletonDescription}
+    kinds |= {4: DeviceDescription, 5: CameraDescription}
+    if kind not in kinds:
+        raise ValueError(f"no definition of kind {kind} is known")
+    content = kinds[kind].read_from_buffer(buffer, Version(*version))
+    if kind == _BODY:
+        found.append((str(content.name), int(content.id_num)))
+
+
+def _elements() -> dict[str, Any]:
+    """What reads one element of a section."""
+    return {
+        "marker sets": MarkerSet,
+        "rigid bodies": RigidBody,
+        "skeletons": Skeleton,
+        "labelled markers": LabeledMarker,
+        "force plates": ForcePlate,
+        "devices": Device,
+    }
 
 
 def read_frame(buffer: BoundedBuffer, version: tuple[int, int]) -> Frame:
-    """Reads a frame.
+    """Reads a frame: its rigid bodies and stamps. All else is skipped, by its size where the version tells it.
+
+    Two bodies of one id are neither of them in the frame: nobody knows which is which.
 
     Raises:
-        CommunicationError: It is damaged, or holds two rigid bodies of one id.
+        CommunicationError: It is damaged, or its only stamp is no number.
     """
     try:
-        content = DataFrame.read_from_buffer(buffer, Version(*version))
+        sequence, bodies = buffer.read_uint32(), list[Any]()
+        spoken, kinds = Version(*version), _elements()
+        for section in _SECTIONS if version >= _SIZED else (s for s in _SECTIONS if s != "assets"):
+            count = buffer.read_uint32()
+            end = buffer.read_uint32() + buffer.pointer if version >= _SIZED else None
+            if section == "unlabelled markers" and end is None:
+                buffer.read_float32_array(3 * count)
+            elif section == "rigid bodies" or end is None:
+                elements = [kinds[section].read_from_buffer(buffer, spoken) for _ in range(count)]
+                bodies = elements if section == "rigid bodies" else bodies
+            if end is not None:
+                buffer.skip_to(end)
+        suffix = FrameSuffix.read_from_buffer(buffer, spoken)
     except _DAMAGED as error:
         raise CommunicationError(f"a frame cannot be read: {error}") from error
-    bodies = {
-        body.id_num: BodyPose(tuple(body.pos), tuple(body.rot), body.tracking_valid) for body in content.rigid_bodies
-    }
-    if len(bodies) != len(content.rigid_bodies):
-        raise CommunicationError("a frame holds two rigid bodies of one id")
-    suffix = content.suffix
-    if not math.isfinite(suffix.timestamp):
-        raise CommunicationError(f"a frame is stamped {suffix.timestamp}")
-    return Frame(
-        content.prefix.frame_number, bodies, suffix.timestamp, suffix.stamp_camera_mid_exposure, suffix.stamp_transmit
+    often = Counter(body.id_num for body in bodies)
+    frame = Frame(
+        sequence,
+        {b.id_num: BodyPose(tuple(b.pos), tuple(b.rot), b.tracking_valid) for b in bodies if often[b.id_num] == 1},
+        suffix.timestamp,
+        suffix.stamp_camera_mid_exposure,
+        suffix.stamp_transmit,
     )
+    frame.times(1)
+    return frame

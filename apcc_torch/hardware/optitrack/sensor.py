@@ -211,7 +211,7 @@ class OptiTrackSensor(PoseSensor):
         elif message == packets.SERVER_INFO:
             self._greet(packets.read_server(buffer))
         elif message == packets.MODEL and self._server is not None:
-            self._learn(packets.read_body_ids(buffer, self._server.version))
+            self._learn(packets.read_body_ids(buffer, self._server.version, self.settings.names))
         else:
             self._counts.unexpected += 1
 
@@ -228,12 +228,18 @@ class OptiTrackSensor(PoseSensor):
             self._changed.notify_all()
         self._next_request = 0.0
 
-    def _learn(self, ids: dict[str, int]) -> None:
-        missing = [name for name in self.settings.names if name not in ids]
+    def _learn(self, bodies: list[tuple[str, int]]) -> None:
+        ids, refusal = dict(bodies), None
+        names, numbers = [name for name, _ in bodies], [number for _, number in bodies]
+        if missing := [name for name in self.settings.names if name not in ids]:
+            refusal = f"the server has no rigid body {', '.join(missing)}; it has {', '.join(ids) or 'none'}"
+        elif double := [name for name in self.settings.names if names.count(name) > 1]:
+            refusal = f"the server has two rigid bodies named {', '.join(double)}"
+        elif double := [name for name in self.settings.names if numbers.count(ids[name]) > 1]:
+            refusal = f"the server has another rigid body with the streaming id of {', '.join(double)}"
         with self._changed:
-            if missing:
-                self._refusal = f"the server has no rigid body {', '.join(missing)}; it has {', '.join(ids) or 'none'}"
-                self._ids = None
+            if refusal is not None:
+                self._refusal, self._ids = refusal, None
             else:
                 self._tracker.begin(ids)
                 self._ids, self._refusal, self._last_answer = ids, None, time.monotonic()

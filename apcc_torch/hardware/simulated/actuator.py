@@ -15,6 +15,9 @@ from apcc_torch.hardware.simulated.world import SimulatedWorld, simulated
 from apcc_torch.hardware.world import World
 from apcc_torch.settings import OURS, Settings, resolved, setting
 
+ROUND_OFF = 1e-9
+"""Ticks: a limit that is a whole tick but for rounding is that tick."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class SimulatedActuatorSettings(Settings):
@@ -87,6 +90,11 @@ class SimulatedActuator(TendonActuator):
             raise DeviceFaultError("the simulated arm diverged")
         ticks = self._ticks(y)
         return TendonReading(stamp, ticks * self.resolution, ydot, effort, {"position": ticks.astype(int).tolist()})
+
+    def rounded(self, y: Array, low: Array, high: Array) -> Array:
+        """The nearest whole ticks from low to high, (n_a,) m each."""
+        least, greatest = np.ceil(low / self.resolution - ROUND_OFF), np.floor(high / self.resolution + ROUND_OFF)
+        return np.clip(self._ticks(y), least, greatest) * self.resolution
 
     def send(self, y: Array) -> Array:
         """Sets the goals (n_a,), m; returns them in whole ticks.

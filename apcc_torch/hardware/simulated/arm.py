@@ -101,10 +101,14 @@ class SimulatedArm:
         self.time = 0.0
         self.next_frame = 0.0
 
+    def steppers(self) -> tuple[Step, Step]:
+        """The plant's step under torque, and the one without; built if they have to be, which may take a minute."""
+        return self.plant.stepper(self.step, self.compile), self.limp.stepper(self.step, self.compile)
+
     def begin(self, time: float, board: Board) -> None:
         """Lets the arm settle on its stand, and puts the first knot and frame at `time`, s."""
         # Here, as compiled code does not travel between processes.
-        self.held, self.dragged = (plant.stepper(self.step, self.compile) for plant in (self.plant, self.limp))
+        self.held, self.dragged = self.steppers()
         self.now = self.plant.settled(self.settle, self.step, self.compile)
         self.reference = torch.zeros_like(self.now.z)
         self.rate = torch.zeros_like(self.now.z)

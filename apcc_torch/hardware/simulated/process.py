@@ -100,17 +100,21 @@ class ProcessWorld(SimulatedWorld):
         self.process = context.Process(
             target=serve, args=(self.arm, memory, self.lock, self.over, there), name="simulated arm", daemon=True
         )
+        self.arm.steppers()  # here first: what has to be built then lies ready, and takes no time that has a limit
         self.process.start()
         there.close()
         try:
-            if not here.poll(START_TIMEOUT):
-                raise CommunicationError(f"the simulated arm did not begin within {START_TIMEOUT:g} s")
-            here.recv()
-        except (EOFError, CommunicationError) as error:
+            begun = here.poll(START_TIMEOUT)
+            if begun:
+                here.recv()
+        except EOFError as error:
             self._finish()
             raise CommunicationError("the simulated arm's process ended before it began") from error
         finally:
             here.close()
+        if not begun:
+            self._finish()
+            raise CommunicationError(f"the simulated arm did not begin within {START_TIMEOUT:g} s")
         deadline = time.monotonic() + LOCK_TIMEOUT
         while not self.board.memory["n_knots"] and time.monotonic() < deadline:
             time.sleep(self.arm.step)

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from apcc_torch.errors import CommunicationError, DeviceFaultError
 from apcc_torch.hardware.dynamixel.bus import DynamixelBus, raise_all
@@ -18,6 +20,7 @@ from apcc_torch.hardware.dynamixel.registers import (
 )
 from hardware.dynamixel.rig import POSITIONS, TENDONS
 from hardware.emulators.servo.emulator import ServoEmulator
+from hardware.emulators.servo.packet import frame, status
 
 STUFFED = -131_073  # FF FF FD FF: the header's bytes in the data
 MOTOR = TENDONS[0]
@@ -85,3 +88,71 @@ def test_a_lost_reply_weighs_more_than_a_fault() -> None:
         raise_all([DeviceFaultError("a"), DeviceFaultError("b")])
     with pytest.raises(CommunicationError, match=r"^a; b$"):
         raise_all([DeviceFaultError("a"), CommunicationError("b")])
+
+
+class MemoryPort:
+    """A port without a line: what is to come lies there, once something has been written."""
+
+    is_open, is_using = True, False
+
+    def __init__(self, replies: bytes) -> None:
+        self.replies, self.here = replies, b""
+
+    def clearPort(self) -> None:
+        self.here = b""
+
+    def writePort(self, packet: list[int]) -> int:
+        self.here += self.replies
+        return len(packet)
+
+    def readPort(self, length: int) -> bytes:
+        taken, self.here = self.here[:length], self.here[length:]
+        return taken
+
+    def setPacketTimeout(self, length: int) -> None:
+        pass
+
+    def isPacketTimeout(self) -> bool:
+        return not self.here
+
+
+LENGTH = 6
+GOOD, REFUSED, LONG, CORRUPT, CUT, NOISE = "good", "refused", "long", "corrupt", "cut", "noise"
+REPLY = st.tuples(
+    st.sampled_from([GOOD, GOOD, GOOD, REFUSED, LONG, CORRUPT, CUT, NOISE]),
+    st.sampled_from([*TENDONS, 1, 200]),
+    st.binary(min_size=LENGTH, max_size=LENGTH),
+    st.integers(1, 12),
+)
+
+
+def spoken(kind: str, motor: int, data: bytes, amount: int) -> bytes:
+    """One reply as it comes over the line."""
+    if kind == REFUSED:
+        return status(motor, 1 + amount % 7, b"")
+    if kind == LONG:
+        return frame(motor, bytes([0x55, 0]) + data + data[:amount])
+    if kind == NOISE:
+        return data[:amount]
+    whole = status(motor, 0, data)
+    if kind == CORRUPT:
+        return whole[:-3] + bytes([whole[-3] ^ 0x10]) + whole[-2:]
+    return whole[: len(whole) - amount] if kind == CUT else whole
+
+
+@given(asked=st.permutations(TENDONS), count=st.integers(1, 9), replies=st.lists(REPLY, max_size=14))
+def test_whatever_comes_back_only_whole_replies_are_believed(
+    asked: list[int], count: int, replies: list[tuple[str, int, bytes, int]]
+) -> None:
+    """Any subset of motors, in any order, some twice, some that were not asked, some spoilt."""
+    motors = asked[:count]
+    bus = DynamixelBus(MemoryPort(b"".join(spoken(*reply) for reply in replies)), {})  # type: ignore[arg-type]
+    answers, wrong = bus.sync_gather(motors, PRESENT_POSITION.address, LENGTH)
+    assert set(answers) | set(wrong) == set(motors) and not set(answers) & set(wrong)
+    assert all(isinstance(error, CommunicationError | DeviceFaultError) for error in wrong.values())
+    for motor, data in answers.items():
+        assert data in [told for kind, one, told, _ in replies if kind == GOOD and one == motor]
+    if all(kind in (GOOD, REFUSED, LONG) for kind, *_ in replies):  # nothing swallows what follows it
+        for motor in motors:
+            first = next((kind for kind, one, *_ in replies if one == motor), None)
+            assert (motor in answers) == (first == GOOD)

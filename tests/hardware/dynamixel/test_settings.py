@@ -49,7 +49,11 @@ def test_lists_become_tuples_and_the_watchdog_is_rounded_up() -> None:
         ("current_limit", 3.3),
         ("profile_velocity", 0.0),  # no limit at all, to the motor
         ("profile_velocity", 1e-3),  # rounded, the same
+        ("profile_velocity", 25.0),  # more than the motors' limit can be
         ("profile_acceleration", 0.0),
+        ("position_gains", (800, 0)),
+        ("position_gains", (800, 0, 0.5)),
+        ("position_gains", (800, 0, -1)),
         ("bus_watchdog", 0.0),  # off
         ("bus_watchdog", 2.55),
         ("reply_timeout", 0.0),

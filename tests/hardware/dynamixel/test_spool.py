@@ -45,6 +45,23 @@ def test_a_length_is_met_to_half_a_tick_or_by_the_nearer_end(
     assert abs(got - wanted) <= (0.5 if inside else 1.0) * tick * (1 + 1e-6) + 1e-12
 
 
+@given(
+    radius=RADII, sign=SIGN, zero=ZERO, y=st.floats(-0.1, 0.05), last=st.integers(-200, -10), reach=st.floats(0, 0.003)
+)
+def test_between_two_lengths_no_rounding_leaves_them(
+    radius: float, sign: int, zero: int, y: float, last: int, reach: float
+) -> None:
+    """What a command may change is a limit of the ticks that are sent, and not only of the lengths that are wanted."""
+    spools, tick = one(radius, sign, zero), 2 * pi * radius / 4096
+    low, high = max(last * tick - reach, -0.075), min(last * tick + reach, 0.0)
+    if low > high:
+        return
+    least, greatest = spools.between(np.array([low]), np.array([high]))
+    got = spools.length(np.clip(spools.ticks(np.array([y])), least, greatest))[0]
+    assert low - 1e-12 <= got <= high + 1e-12
+    assert abs(got - min(max(y, low), high)) <= tick * (1 + 1e-6)
+
+
 def test_the_bounds_are_whole_ticks_within_the_limits() -> None:
     # 4096 ticks on a spool of 0.5 / pi mm are 1 mm: 75 mm are 75 * 4096 ticks, exactly.
     for sign in (-1, 1):

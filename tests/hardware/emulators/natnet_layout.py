@@ -28,11 +28,12 @@ def message(number: int, payload: bytes) -> bytes:
 
 
 def text(value: str) -> bytes:
-    return value.encode() + b"\0"
+    """A text; bytes that are no UTF-8 stand in it as Python escapes them."""
+    return value.encode(errors="surrogateescape") + b"\0"
 
 
 def server_info(version: Version, tick_rate: int = TICK_RATE, name: str = "Motive", data_port: int = 1511) -> bytes:
-    payload = name.encode().ljust(256, b"\0") + bytes((3, 1, 0, 0)) + bytes((*version, 0, 0))
+    payload = text(name)[:256].ljust(256, b"\0") + bytes((3, 1, 0, 0)) + bytes((*version, 0, 0))
     payload += struct.pack("<QHB4B", tick_rate, data_port, 0, 239, 255, 42, 99)
     return message(SERVER_INFO, payload)
 
@@ -66,7 +67,7 @@ def frame(
     """A frame; with `extras`, every other list holds something too."""
     marker = struct.pack("<3f", 0.1, 0.2, 0.3)
     labelled = struct.pack("<i4fhf", (1 << 16) + 2, 0.1, 0.2, 0.3, 0.01, 10, 1e-4)
-    markers = text("all") + struct.pack("<I", 2) + 2 * marker
+    markers = text("all \udcfc") + struct.pack("<I", 2) + 2 * marker
     skeleton = struct.pack("<iI", 7, 1) + rigid_body(Body((7 << 16) + 1, (0, 0, 1), (0, 0, 0, 1)))
     asset_marker = struct.pack("<i4fhf", 3, 0.1, 0.2, 0.3, 0.01, 0, 1e-4)
     asset = struct.pack("<iI", 9, 1) + rigid_body(Body(1, (0, 0, 1), (0, 0, 0, 1)))
@@ -106,12 +107,14 @@ def model(version: Version, names: Mapping[int, str], extras: bool = True) -> by
     if extras:
         skeleton = text("Person") + struct.pack("<iI", 7, 1) + body_description(version, 1, "Hip")
         device = struct.pack("<i", 2) + text("Amplifier") + text("0001") + struct.pack("<iiI", 2, 0, 1) + text("ch1")
-        camera = text("Camera 1") + struct.pack("<7f", 0, 0, 2, 0, 0, 0, 1)
-        found += [(2, skeleton), (4, device), (5, camera)]
+        camera = text("Camera \udcfc") + struct.pack("<7f", 0, 0, 2, 0, 0, 0, 1)
+        plate = struct.pack("<i", 1) + text("0007") + struct.pack("<161f", *range(161))
+        plate += struct.pack("<iiI", 0, 0, 2) + text("Fx") + text("Fy")
+        found = [(5, camera), (3, plate), *found, (2, skeleton), (4, device)]
     if extras and version >= (4, 1):
         marker = text("m") + struct.pack("<i4fh", 3, 0, 0, 0, 0.01, 0)
         asset = text("Asset") + struct.pack("<iiI", 1, 9, 1) + body_description(version, 1, "Bone")
-        found.append((6, asset + struct.pack("<I", 1) + marker))
+        found += [(6, asset + struct.pack("<I", 1) + marker), (9, b"of a kind that is not known")]
     payload = struct.pack("<I", len(found))
     for kind, content in found:
         size = struct.pack("<I", len(content)) if version >= (4, 1) else b""

@@ -63,7 +63,7 @@ class EmulatedPlatform:
         """Settings that fit, with times that a busy machine keeps."""
         motors = {
             "port": self.link, "ids": list(MOTORS), "spool_radii": list(RADII), "signs": list(SIGNS),
-            "lower": LOWER, "upper": UPPER, "reply_timeout": 0.25, "bus_watchdog": 2.0, "profile_velocity": 20.0,
+            "lower": LOWER, "upper": UPPER, "reply_timeout": 0.6, "bus_watchdog": 2.54, "profile_velocity": 20.0,
             "profile_acceleration": 400.0,
         }  # fmt: skip
         cameras = {
@@ -89,10 +89,9 @@ class EmulatedPlatform:
         report = self.servos.report()
         for k, motor in enumerate(MOTORS):
             y = self.arm.metres_per_tick[k] * (np.array(report[motor]["goals"]) - ZEROS[k])
-            tick = abs(self.arm.metres_per_tick[k])
             if len(y) and (y.min() < LOWER - 1e-9 or y.max() > UPPER + 1e-9):
                 return False
-            if len(y) > 2 and np.abs(np.diff(y[:-1])).max() > STEP + tick:
+            if len(y) > 2 and np.abs(np.diff(y[:-1])).max() > STEP + 1e-9:
                 return False
         return True
 

@@ -8,6 +8,8 @@ import time
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from apcc_torch.errors import CommunicationError, HardwareError
 from apcc_torch.hardware.optitrack import packets
@@ -58,16 +60,101 @@ def test_untracked_bodies_stay_in_the_frame(version: Version) -> None:
 def test_names_come_through(version: Version, extras: bool) -> None:
     message, buffer = packets.open_datagram(layout.model(version, NAMES, extras))
     assert message == packets.MODEL
-    assert packets.read_body_ids(buffer, version) == {name: number for number, name in NAMES.items()}
+    assert packets.read_body_ids(buffer, version) == [(name, number) for number, name in NAMES.items()]
 
 
-def test_two_bodies_of_one_name_or_number_are_refused() -> None:
-    buffer = packets.open_datagram(layout.model((4, 1), {1: "base", 2: "base"}))[1]
-    with pytest.raises(CommunicationError, match="two rigid bodies of one name"):
-        packets.read_body_ids(buffer, (4, 1))
+@every_version
+def test_two_bodies_of_one_number_are_neither_of_them_seen(version: Version) -> None:
     twice = [*bodies(), bodies()[0]]
-    with pytest.raises(CommunicationError, match="two rigid bodies of one id"):
-        parse(layout.frame((4, 1), 1, twice, 0.0), (4, 1))
+    assert list(parse(layout.frame(version, 1, twice, 0.0), version).bodies) == [2, 3, 4]
+
+
+@pytest.mark.parametrize("version", [(3, 0), (4, 0)])
+def test_what_has_no_size_and_is_not_known_ends_the_reading_only_where_a_name_is_missing(version: Version) -> None:
+    data = layout.model(version, NAMES, extras=False)
+    more = struct.pack("<I", 5) + data[8:] + struct.pack("<I", 9) + b"of a kind that is not known"
+    data = layout.message(packets.MODEL, more)
+    found = packets.read_body_ids(packets.open_datagram(data)[1], version, list(NAMES.values()))
+    assert dict(found) == {name: number for number, name in NAMES.items()}
+    with pytest.raises(CommunicationError, match="no definition of kind 9 is known"):
+        packets.read_body_ids(packets.open_datagram(data)[1], version, ["disk_9"])
+
+
+def test_a_name_that_is_no_text_is_no_reason() -> None:
+    """Motive gives names in the code page of its computer."""
+    names = {**NAMES, 9: "Stativ für Kameras".encode("latin-1").decode(errors="surrogateescape")}
+    for version in layout.VERSIONS:
+        found = packets.read_body_ids(packets.open_datagram(layout.model(version, names))[1], version)
+        assert found[:4] == [(name, number) for number, name in NAMES.items()] and found[4][1] == 9
+    info = layout.server_info((4, 1), name="Motive \udcfc" + 300 * "x")  # and fills its place, without an end
+    server = packets.read_server(packets.open_datagram(info)[1])
+    assert server.version == (4, 1) and server.tick_rate == TICK_RATE and server.name.startswith("Motive \ufffd")
+
+
+NUMBERS = st.integers(1, 2**31 - 1)
+TEXTS = st.binary(max_size=12).map(lambda data: data.replace(b"\0", b"?").decode(errors="surrogateescape"))
+POSES = st.lists(st.floats(-100, 100, width=32), min_size=7, max_size=7)
+
+
+@st.composite
+def streams(draw: st.DrawFn) -> tuple[Version, list[Body], bytes, bytes]:
+    """A version; bodies of ours, some of them; and a frame and definitions that hold them among whatever else there is.
+
+    Other bodies come in between, some of one id; sections hold much or nothing; definitions come in any order.
+    """
+    version = draw(st.sampled_from(layout.VERSIONS))
+    seen = draw(st.permutations(list(NAMES)))[: draw(st.integers(0, 4))]
+    ours = [Body(number, *_split(draw(POSES)), draw(st.booleans())) for number in seen]
+    others = draw(st.lists(st.integers(5, 9), max_size=6))
+    mixed = draw(st.permutations([*ours, *(Body(number, (0, 0, 1), (0, 0, 0, 1)) for number in others)]))
+    texts, many = (
+        draw(st.lists(TEXTS, min_size=4, max_size=4)),
+        draw(st.lists(st.integers(0, 3), min_size=7, max_size=7)),
+    )
+    sized = version >= (4, 1)
+    marker = struct.pack("<3f", 1, 2, 3)
+    items = [
+        [layout.text(texts[0]) + struct.pack("<I", many[0]) + many[0] * marker] * many[1],
+        [marker] * many[2],
+        [layout.rigid_body(body) for body in mixed],
+        [struct.pack("<iI", 7, many[3]) + many[3] * layout.rigid_body(Body(1, (0, 0, 1), (0, 0, 0, 1)))] * many[4],
+        *([[draw(st.binary(max_size=60))] * many[5]] if sized else []),  # assets: skipped, whatever they hold
+        [struct.pack("<i4fhf", 3, 0, 0, 0, 0, 0, 0)] * many[6],
+        [layout.channels(number) for number in range(many[0])],
+        [layout.channels(number) for number in range(many[1])],
+    ]
+    payload = struct.pack("<I", 7) + b"".join(layout.section(version, section) for section in items)
+    payload += struct.pack("<IId3Q", 0, 0, 1.0, 0, 0, 0) + sized * b"precise!" + struct.pack("<hI", 0, 0)
+    named = [(1, layout.body_description(version, number, name)) for number, name in NAMES.items()]
+    named += [(1, layout.body_description(version, number, "x" + text)) for number, text in enumerate(texts, 5)]
+    named += [(0, layout.text(texts[0]) + struct.pack("<I", 1) + layout.text(texts[1]))] * many[2]
+    named += [(5, layout.text(texts[2]) + struct.pack("<7f", *range(7)))] * many[3]
+    unknown = st.tuples(st.integers(2, 1000), st.binary(max_size=40))
+    named += draw(st.lists(unknown, max_size=3)) if sized else []
+    named = draw(st.permutations(named))
+    model = struct.pack("<I", len(named))
+    for kind, content in named:
+        model += struct.pack("<I", kind) + (struct.pack("<I", len(content)) if sized else b"") + content
+    return version, ours, layout.message(packets.FRAME, payload), layout.message(packets.MODEL, model)
+
+
+def _split(pose: list[float]) -> tuple[list[float], list[float]]:
+    return pose[:3], pose[3:]
+
+
+@settings(max_examples=150)
+@given(stream=streams())
+def test_our_bodies_are_found_among_whatever_else_is_streamed(
+    stream: tuple[Version, list[Body], bytes, bytes],
+) -> None:
+    version, ours, frame, model = stream
+    found = parse(frame, version).bodies
+    for body in ours:
+        assert (*found[body.number].position, *found[body.number].quaternion) == (*body.position, *body.quaternion)
+        assert found[body.number].tracked == body.tracked
+    assert not {number for number in NAMES if number in found} - {body.number for body in ours}
+    named = dict(packets.read_body_ids(packets.open_datagram(model)[1], version, list(NAMES.values())))
+    assert {name: named[name] for name in NAMES.values()} == {name: number for number, name in NAMES.items()}
 
 
 @every_version
@@ -110,7 +197,11 @@ def test_a_datagram_cut_anywhere_is_an_error(version: Version) -> None:
                     parse(lying, version)
 
 
-def test_a_stamp_that_is_no_number_is_an_error() -> None:
+def test_a_stamp_that_is_no_number_is_an_error_where_there_is_no_other() -> None:
+    frame = parse(layout.frame((4, 1), 1, bodies(), float("nan"), 124_960_000, 125_000_000), (4, 1))
+    assert frame.times(TICK_RATE) == (pytest.approx(12.496), pytest.approx(12.5), True)
+    with pytest.raises(CommunicationError, match="stamped nan"):
+        frame.times(0)
     with pytest.raises(CommunicationError, match="stamped nan"):
         parse(layout.frame((4, 1), 1, bodies(), float("nan")), (4, 1))
 

@@ -107,6 +107,25 @@ def test_a_silent_server_and_a_server_without_names(server: NatNetServer) -> Non
         sensor_for(server, bodies=("disk_1", "disk_9")).connect()
 
 
+@pytest.mark.parametrize(
+    ("names", "said"),
+    [
+        ({1: "base", 2: "disk_1", 3: "disk_1", 4: "disk_2", 5: "disk_3"}, "two rigid bodies named disk_1"),
+        ({1: "base", 2: "disk_1", 3: "disk_2", 4: "disk_3", 5: "stand", 6: "stand"}, None),
+    ],
+)
+def test_two_bodies_of_one_name_matter_where_it_is_one_of_ours(
+    server: NatNetServer, names: dict[int, str], said: str | None
+) -> None:
+    renew(server, names=names, poses=standing(len(names)))
+    if said is None:
+        with connected(server) as sensor:
+            assert sensor.wait(2.0) is not None
+        return
+    with pytest.raises(HardwareError, match=said):
+        sensor_for(server).connect()
+
+
 def test_an_unknown_version_is_refused_in_a_sentence(server: NatNetServer) -> None:
     renew(server, version=(4, 3))
     with pytest.raises(HardwareError, match=r"'Motive' streams NatNet 4\.3; known are 3\.0, 3\.1, 4\.0, 4\.1, 4\.2"):

@@ -15,7 +15,11 @@ OK, RESULT_FAIL, INSTRUCTION, DATA_RANGE, DATA_LENGTH, ACCESS = 0, 1, 2, 4, 5, 7
 ALERT = 0x80
 
 MODE, TORQUE, HARDWARE_ERROR, WATCHDOG, GOAL, POSITION = 11, 64, 70, 98, 116, 132
+DRIVE_MODE, HOMING, PWM_LIMIT, CURRENT_LIMIT, VELOCITY_LIMIT, MAX_POSITION, MIN_POSITION = 10, 20, 36, 38, 44, 48, 52
+P_GAIN, GOAL_PWM, GOAL_CURRENT, PROFILE_ACCELERATION, PROFILE_VELOCITY = 84, 100, 102, 108, 112
+GAINS = {80: 0, 82: 0, P_GAIN: 800, 88: 0, 90: 0}
 GOALS = {100, 102, 104, 116}
+LIMITED = {GOAL_PWM: (PWM_LIMIT, 2), GOAL_CURRENT: (CURRENT_LIMIT, 2), PROFILE_VELOCITY: (VELOCITY_LIMIT, 4)}
 INDIRECT_ADDRESS, INDIRECT_DATA, SLOTS = 168, 224, 28
 
 
@@ -35,11 +39,14 @@ FIELDS: dict[int, Field] = {
     9: Field(1, 0, 254, 250),
     10: Field(1, 0, 5, 0),
     11: Field(1, 0, 16, 5),  # 3 from the factory; these have been used
+    12: Field(1, 0, 255, 255),
     20: Field(4, -1_044_479, 1_044_479, 0, True),
     31: Field(1, 0, 100, 80),
     36: Field(2, 0, 885, 885),
     38: Field(2, 0, 1193, 1193),
     44: Field(4, 0, 1023, 330),
+    48: Field(4, 0, 4095, 4095),
+    52: Field(4, 0, 4095, 0),
     60: Field(1, 0, 3, 0),
     63: Field(1, 0, 255, 52),
     64: Field(1, 0, 1, 0),
@@ -53,6 +60,7 @@ FIELDS: dict[int, Field] = {
     112: Field(4, 0, 32767, 0),
     116: Field(4, -1_048_575, 1_048_575, 0, True),
 }
+FIELDS |= {address: Field(2, 0, 16_383, start) for address, start in GAINS.items()}
 FIELDS |= {INDIRECT_ADDRESS + 2 * k: Field(2, 64, 661, INDIRECT_DATA + k) for k in range(SLOTS)}
 
 
@@ -85,10 +93,28 @@ class Motor:
             if address >= 64:
                 self.put(address, field.length, field.start)
         self.position %= TICKS_PER_TURN
-        self.put(GOAL, 4, round(self.position))
+        self._reset_limits()
+        self.put(GOAL, 4, self.shown)
         self.stopped = False
         self.time = self.fed = now
         self._show(0.0)
+
+    def _reset_limits(self) -> None:
+        """What a start and another operating mode set anew."""
+        for address, start in {**GAINS, PROFILE_ACCELERATION: 0, PROFILE_VELOCITY: 0}.items():
+            self.put(address, FIELDS[address].length, start)
+        self.put(GOAL_PWM, 2, self.get(PWM_LIMIT, 2))
+        self.put(GOAL_CURRENT, 2, self.get(CURRENT_LIMIT, 2))
+
+    @property
+    def sign(self) -> int:
+        """Which way it counts its turns."""
+        return -1 if self.memory[DRIVE_MODE] & 1 else 1
+
+    @property
+    def shown(self) -> int:
+        """The position as it tells it, in ticks."""
+        return round(self.sign * self.position) + self.get(HOMING, 4, True)
 
     def get(self, address: int, length: int, signed: bool = False) -> int:
         return int.from_bytes(self.memory[address : address + length], "little", signed=signed)
@@ -98,10 +124,10 @@ class Motor:
 
     def _show(self, speed: float) -> None:
         self.put(126, 2, self.load)
-        self.put(128, 4, round(speed / TICKS_PER_SPEED_UNIT))
-        self.put(POSITION, 4, round(self.position))
+        self.put(128, 4, round(self.sign * speed / TICKS_PER_SPEED_UNIT))
+        self.put(POSITION, 4, self.shown)
         if self.tracks and not self.memory[TORQUE]:
-            self.put(GOAL, 4, round(self.position))
+            self.put(GOAL, 4, self.shown)
 
     def overload(self) -> None:
         """The shutdown of an overload: the motor lets go and stays so until it restarts."""
@@ -123,10 +149,12 @@ class Motor:
         dt, self.time = max(0.0, now - self.time), max(now, self.time)
         before = self.position
         if self.memory[TORQUE] and not self.stopped and dt > 0:
-            top = min(self.get(112, 4) * TICKS_PER_SPEED_UNIT or NO_LOAD_SPEED, NO_LOAD_SPEED)
-            error = self.get(GOAL, 4, True) - self.position
-            straight = max(0.0, (abs(error) - top / GAIN) / top)
-            left = max(abs(error) - top * min(dt, straight), 0.0) * exp(-GAIN * max(0.0, dt - straight))
+            reach = NO_LOAD_SPEED * max(self.get(GOAL_PWM, 2, True), 1) / FIELDS[PWM_LIMIT].high
+            top = min(self.get(PROFILE_VELOCITY, 4) * TICKS_PER_SPEED_UNIT or reach, reach)
+            gain = GAIN * max(self.get(P_GAIN, 2), 1) / GAINS[P_GAIN]
+            error = self.sign * (self.get(GOAL, 4, True) - self.get(HOMING, 4, True)) - self.position
+            straight = max(0.0, (abs(error) - top / gain) / top)
+            left = max(abs(error) - top * min(dt, straight), 0.0) * exp(-gain * max(0.0, dt - straight))
             self.position += error - (left if error > 0 else -left)
         self._show((self.position - before) / dt if dt > 0 else 0.0)
 
@@ -165,6 +193,7 @@ class Motor:
             self.put(at, field.length, value)
             if at == MODE and value != before:
                 self.position %= TICKS_PER_TURN
+                self._reset_limits()
             if at == WATCHDOG and value == 0:
                 self.stopped = False
             elif at == GOAL:
@@ -179,8 +208,10 @@ class Motor:
             return ACCESS
         if not field.low <= value <= field.high or (address in GOALS and self.memory[WATCHDOG] == 0xFF):
             return DATA_RANGE
-        if address == 102 and abs(value) > self.get(38, 2):
+        if address in LIMITED and abs(value) > self.get(*LIMITED[address]):
             return DATA_RANGE
+        if address == GOAL and self.memory[MODE] == 3:  # the only mode that has these limits
+            return OK if self.get(MIN_POSITION, 4) <= value <= self.get(MAX_POSITION, 4) else DATA_RANGE
         if address == TORQUE and value and self.memory[HARDWARE_ERROR] & self.memory[63]:
             return RESULT_FAIL
         return OK
