@@ -24,6 +24,7 @@ MAX_LINES = 330
 LAYERS: tuple[tuple[str, ...], ...] = (
     ("errors",),
     ("conf_path", "files", "modes", "spread"),
+    ("annotations",),
     ("settings", "shapes"),
     ("part",),
     ("classes",),

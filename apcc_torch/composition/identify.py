@@ -14,7 +14,7 @@ from apcc_torch.identification.series import RecordingSettings, Series, read_ser
 from apcc_torch.identification.split import SplitSettings
 from apcc_torch.model.arm import Arm
 from apcc_torch.recordings.recording import detect_layout
-from apcc_torch.settings import OURS, Settings, check_choice, names, setting
+from apcc_torch.settings import MANY, OURS, Settings, check_choice, names, setting
 
 GEOMETRY = (
     "rest_length",
@@ -36,7 +36,7 @@ class ArmFitSettings(FitSettings):
 
     samples: int = setting(400, "", OURS, "training samples that the fits see, evenly spread", least=2)
     history: int = setting(
-        1, "", OURS, "inputs that matter, from now back; 1 for an arm at rest in every sample", least=1
+        1, "", OURS, "inputs that matter, from now back; 1 for an arm at rest in every sample", least=1, most=MANY
     )
     slide_travel: float = setting(
         0.0, "", OURS, "travel of an input in which friction turns over, in its unit; 0: no friction", least=0
@@ -69,7 +69,7 @@ class IdentifySettings(Settings):
     online: ArmOnlineSettings = setting(factory=ArmOnlineSettings, meaning="how the geometry is adapted online")
     figures: bool = setting(True, "", OURS, "whether figures are drawn")
     progress: bool = setting(True, "", OURS, "whether rounds are told as they end")
-    threads: int | None = setting(1, "", OURS, "torch threads; null leaves torch its choice", least=1)
+    threads: int | None = setting(1, "", OURS, "torch threads; null leaves torch its choice", least=1, most=1024)
 
 
 def recorded(settings: IdentifySettings) -> Series:

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from apcc_torch.control.bounds import scaled_within
-from apcc_torch.control.gain import gain_matrix
+from apcc_torch.control.gain import check_gain, gain_matrix
 from apcc_torch.control.length_law import LawStep, LengthLaw, Memory
 from apcc_torch.estimation.state_feedback import StateFeedback
 from apcc_torch.model.coordinates import Coordinates
@@ -37,6 +37,10 @@ class AdaptiveLawSettings(Settings):
     normalisation: Setting = setting(0.0, "s^2", OURS, "nu in 1 / (1 + nu |Y|^2)", rows="number", least=0)
     dead_zone: Setting = setting(0.0, "m", OURS, "position error below which nothing adapts", rows="number", least=0)
     gain_scale: Setting = setting(1.0, "", OURS, "factor on gamma", rows="number", above=0)
+
+    def check(self) -> None:
+        """Raises where gamma is no positive gain."""
+        check_gain("gamma", self.gamma)
 
 
 class AdaptiveLaw(LengthLaw):
