@@ -64,6 +64,8 @@ def read(
 def check_key(name: str, root: type[Settings], key: str = "") -> None:
     """Raises ConfigError where a class of settings, which stand at `key`, has none of that name."""
     known = [each.name for each in keys(root)]
+    if name in root.elsewhere:
+        raise ConfigError(f"{_join(key, name)} is no setting here, but one of {root.elsewhere[name]}")
     if name not in known:
         raise ConfigError(f"{_join(key, name)} is no setting{did_you_mean(name, known)}")
 

@@ -13,8 +13,9 @@ from omegaconf import DictConfig, OmegaConf
 
 from apcc_torch.composition.arm_file import arm_override
 from apcc_torch.composition.help import describe, for_manual
-from apcc_torch.composition.realtime import RealtimeSettings
-from apcc_torch.composition.schema import check_words, schema
+from apcc_torch.composition.realtime import RealtimeSettings, of_a_realtime_run
+from apcc_torch.composition.schema import check_words, refused_in_a_sentence, schema
+from apcc_torch.composition.unread import check_given
 from apcc_torch.conf_path import conf_path
 from apcc_torch.errors import one_sentence
 from apcc_torch.experiments.folder import metrics_text
@@ -33,6 +34,7 @@ OmegaConf.register_new_resolver("exit_codes", exit_code_table, replace=True)
 def _hydra_main(cfg: DictConfig) -> None:
     folder = Path(HydraConfig.get().runtime.output_dir)
     with one_sentence(log.error):
+        check_given(of_a_realtime_run, arm_run.planned(cfg), HydraConfig.get().overrides.task)
         outcome, metrics = arm_run.run(cfg, folder)
     level = logging.ERROR if outcome.reason.failed else logging.INFO
     log.log(level, "%s: %s; the arm is %s", outcome.reason.value, outcome.message, outcome.state.value)
@@ -43,10 +45,10 @@ def _hydra_main(cfg: DictConfig) -> None:
 
 def main() -> None:
     """Console entry point."""
-    with one_sentence(lambda said: sys.stderr.write(f"apcc_torch.robot: {said}\n")):
+    with refused_in_a_sentence(lambda said: sys.stderr.write(f"apcc_torch.robot: {said}\n")):
+        check_words(sys.argv[1:], RealtimeSettings, "realtime")
         sys.argv[1:] = arm_override(for_manual(sys.argv[1:], "experiment=setpoint"))
-        check_words(sys.argv[1:], RealtimeSettings)
-    _hydra_main()
+        _hydra_main()
 
 
 if __name__ == "__main__":

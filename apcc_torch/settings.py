@@ -130,6 +130,8 @@ class Settings:
 
     part: ClassVar[type[Any]]
     """The class that they are of; see `Part`."""
+    elsewhere: ClassVar[Mapping[str, str]] = {}
+    """Keys that they lack and another command has: key to command."""
 
     def __init_subclass__(cls) -> None:
         torch.serialization.add_safe_globals([cls])
@@ -232,12 +234,17 @@ def check_names(owner: str, given: Iterable[str], known: Sequence[str]) -> None:
             raise ConfigError(f"{owner} has no setting {name!r}{did_you_mean(name, known)}")
 
 
+def close(name: str, known: Iterable[str]) -> str | None:
+    """The name that a mistyped one may stand for; None where nothing is close."""
+    return next(iter(difflib.get_close_matches(name, list(known), n=1, cutoff=0.6)), None)
+
+
 def did_you_mean(name: str, known: Iterable[str]) -> str:
     """ "; did you mean gamma?", or what there is where nothing is close."""
     known = list(known)
-    close = difflib.get_close_matches(name, known, n=1, cutoff=0.6)
-    if close:
-        return f"; did you mean {close[0]}?"
+    meant = close(name, known)
+    if meant is not None:
+        return f"; did you mean {meant}?"
     return f"; it has {', '.join(known)}" if known else "; it has none"
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from apcc_torch.composition.unread import Unread
 from apcc_torch.errors import ConfigError, DataError
 from apcc_torch.identification.arm_blocks import KEYS, Spreads, arm_parameters
 from apcc_torch.identification.fit import FitSettings
@@ -70,6 +71,14 @@ class IdentifySettings(Settings):
     figures: bool = setting(True, "", OURS, "whether figures are drawn")
     progress: bool = setting(True, "", OURS, "whether rounds are told as they end")
     threads: int | None = setting(1, "", OURS, "torch threads; null leaves torch its choice", least=1, most=1024)
+
+
+def of_a_fit(settings: IdentifySettings) -> Unread:
+    """What an identification does not read."""
+    if settings.fit.slide_travel == 0:
+        yield "spread.friction", "fit.slide_travel is zero, there is no friction"
+    if settings.fit.history == 1:
+        yield "spread.damping_ratio", "fit.history is 1, the arm is at rest in every sample"
 
 
 def recorded(settings: IdentifySettings) -> Series:

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from math import pi
-from typing import Any
+from typing import Any, ClassVar
 
 import torch
 from torch import Tensor
@@ -27,6 +27,8 @@ Points = tuple[Any, ...]
 
 FARTHEST = 3.0
 """How far off a target may be, in lengths of the arm: no arm stretches so far."""
+ON_AN_ARM = ("hardware", "guards", "loop", "calibration", "ramp", "series", "dry_run", "view", "log")
+"""What a run in real time alone can be set to."""
 LONGEST = 10_000_000
 """The most control periods that a simulation logs."""
 
@@ -158,6 +160,8 @@ class PruneSettings(Settings):
 @dataclass(frozen=True, kw_only=True)
 class SimulateSettings(RunSettings):
     """Root of `python -m apcc_torch.simulate`."""
+
+    elsewhere: ClassVar[Mapping[str, str]] = dict.fromkeys(ON_AN_ARM, "python -m apcc_torch.robot")
 
     replay: ReplaySettings = setting(factory=ReplaySettings, meaning="of a recording")
     dynamics_law: Settings | None = setting(

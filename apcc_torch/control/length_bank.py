@@ -131,6 +131,7 @@ class LengthBank(LengthLaw):
     """
 
     settings_type = LengthBankSettings
+    needs_velocity = False
     nominal: Tensor
     candidates: Tensor
     elongation_weight: Setting

@@ -12,6 +12,7 @@ from typing import TypeVar
 
 from tqdm import tqdm
 
+from apcc_torch.composition.arguments import Arguments
 from apcc_torch.errors import ApccError, one_sentence
 from apcc_torch.experiments.redrawing import draw_anew
 from apcc_torch.files import write_atomically
@@ -133,7 +134,7 @@ def warn(text: str) -> None:
 
 def arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     """The command line."""
-    parser = argparse.ArgumentParser(
+    parser = Arguments(
         prog="python -m apcc_torch.report",
         description="Collects runs into one table, ranks them, and writes a page to explore them.",
         epilog=MANUAL,
