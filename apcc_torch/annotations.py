@@ -31,7 +31,7 @@ _ALIASES = {
     "Setting": ("float", "Tensor"),
     "Lengths": ("floats", "Tensor"),
     "Points": ("list", "Tensor"),
-    "Range": ("floats",),
+    "Range": (),
     "Shares": ("list",),
     "Strains": ("list",),
     "Table": ("list", "Tensor"),

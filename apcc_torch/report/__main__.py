@@ -20,7 +20,7 @@ from apcc_torch.report import pictures
 from apcc_torch.report.collect import collect
 from apcc_torch.report.page.html import Page
 from apcc_torch.report.pictures import Picture
-from apcc_torch.report.ranking import HIGHER_IS_BETTER, choose_metric, ranked, remarks, summary
+from apcc_torch.report.ranking import HIGHER_IS_BETTER, choose_metric, ranked, remarks, summary, without_effect
 from apcc_torch.report.run_record import COMPLETE, Run
 from apcc_torch.report.run_table import RunTable, differing, has_parquet, tidy, write_csv, write_parquet
 
@@ -183,7 +183,9 @@ def report(given: argparse.Namespace) -> list[Path]:
         shown_by_row = illustrate_all(runs, ranked(table, metric, descending), given.figures, given.films, given.draw)
         folders = [row for row, run in enumerate(runs) if run.folder is not None and run.status == COMPLETE]
         title = given.title or default_title(runs, table)
-        page = Page(title, table, metric, descending, shown_by_row, folders, footer(runs))
+        page = Page(
+            title, table, metric, descending, shown_by_row, folders, f"{without_effect(table)} {footer(runs)}".strip()
+        )
         written.append(write_atomically(out / "report.html", page.html()))
     return written
 

@@ -42,7 +42,7 @@ def test_draws_fill_their_ranges() -> None:
         ({"lengths": (0.0, 1.0)}, r"lengths must be at least 0\.1 and finite, got 0"),
         ({"noise": 0.001}, r"noise must be a range \(low, high\) with low <= high, got 0.001"),
         ({"noise": (0.0, float("nan"))}, "noise must be zero or positive and finite, got nan"),
-        ({"delay": (0, 1.5)}, "delay must be a range of whole control periods"),
+        ({"delay": (0, 1.5)}, "delay must be a list of whole numbers"),
     ],
 )
 def test_bad_ranges(given: dict[str, Any], message: str) -> None:
