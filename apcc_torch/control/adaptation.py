@@ -129,6 +129,7 @@ class AdaptiveLaw(LengthLaw):
             dt: (...) step, s.
         """
         check_tensor("pi_hat", pi_hat, (self.n_sections,))
+        check_tensor("dt", dt, ())
         step = pi_hat + dt.unsqueeze(-1) * self.velocity(Y, e)
         return torch.where(torch.isfinite(step), step, pi_hat)
 

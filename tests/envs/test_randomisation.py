@@ -9,7 +9,7 @@ import torch
 
 from apcc_torch.envs.randomisation import Ranges
 from apcc_torch.envs.streams import streams
-from apcc_torch.errors import ValueRangeError
+from apcc_torch.errors import ConfigError, ValueRangeError
 from arm_rows import make
 
 CPU = torch.device("cpu")
@@ -46,7 +46,7 @@ def test_draws_fill_their_ranges() -> None:
     ],
 )
 def test_bad_ranges(given: dict[str, Any], message: str) -> None:
-    with pytest.raises(ValueRangeError, match=message):
+    with pytest.raises((ConfigError, ValueRangeError), match=message):
         make(**given)
 
 
