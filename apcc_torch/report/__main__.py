@@ -38,7 +38,7 @@ A run that failed, was killed or cannot be read is listed with why. Benchmark fo
 own table.
 
 examples:
-  python -m apcc_torch.simulate -m experiment=kinematic velocity_filter.window=5,15,45 adaptation.gain_scale=0.1,0.3,1
+  python -m apcc_torch.simulate -m experiment=kinematic controller.null_gain=0.5,1,2 adaptation.gain_scale=0.1,0.3,1
   python -m apcc_torch.report runs/sweep/DATE                          that sweep, best shape error first
   python -m apcc_torch.report runs/sweep/* --out all                   every sweep in one table, written into all/
   python -m apcc_torch.report runs/sweep/DATE --metric psi_mean_cm     ranked by another metric
