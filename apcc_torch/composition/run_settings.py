@@ -113,7 +113,7 @@ class RunSettings(ControlSettings):
     def check(self) -> None:
         """Raises where a target is far beyond the arm, or the plant's arm is none."""
         with keyed("plant.arm"):
-            with_changes(self.arm, self.plant.arm)  # type: ignore[attr-defined]
+            with_changes(self.arm, self.plant.arm)
         reach = FARTHEST * float(self.arm.rest_lengths().sum(-1).max())
         for key, distance in self.experiment.farthest().items():
             if distance > reach:
