@@ -42,7 +42,7 @@ def jobs(*swept: str) -> list[list[str]]:
         ["arm=arm_1,arm_2", "bounds.lower=null,[0.1,0.1,0.1]", "seed=shuffle(range(3))", "figures=true,false"],
         ["feedback=position,pose", "feedback.angular_weight=0.1,0.2", "++adaptation.rate=0.1,0.2"],
         [
-            "feedback.length_step=0.1,0.2",
+            "feedback.max_iterations=5,7",
             "arm.placement.rotation=[3.1,0,0],[3,0,0]",
             "integral.gain=1,2",
             "residual=none,bank",
