@@ -77,7 +77,8 @@ def of_a_run(c: RunSettings, velocity: bool = False) -> Unread:
         yield "arm.stiffness_reference arm.stiffness_rule", "arm.axial_rigidity and arm.bending_rigidity say it"
     if arm.tendons.offsets is not None:
         yield "arm.tendon_offset", "arm.tendons.offsets says it"
-    yield "arm.actuation arm.mounts arm.rest_bend arm.placement.position", "identification alone needs it"
+    for on in ("arm", "plant.arm"):
+        yield f"{on}.actuation {on}.mounts {on}.rest_bend {on}.placement.position", "identification alone needs it"
     if e.setpoints:
         yield SINE, "experiment.setpoints are the targets"
     elif e.kind != "kinematic":
@@ -93,7 +94,10 @@ def of_a_simulation(c: SimulateSettings) -> Unread:
         yield f"plant sensors dynamics_law experiment.payloads {BODY}", alone
         yield ONE_TARGET, "experiment kinematic follows its sine"
         if c.state == "exact":
-            yield "feedback residual velocity_filter pose_filter", "state is exact: q is known"
+            yield (
+                "feedback residual velocity_filter pose_filter integral controller.velocity",
+                "state is exact: q is known",
+            )
         if not e.start_errors:
             yield "experiment.start_error", "experiment.start_errors is zero"
     else:
