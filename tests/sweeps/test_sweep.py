@@ -95,7 +95,8 @@ def test_there_must_be_something_to_resume(tmp_path: Path) -> None:
 )
 def test_a_wrong_setting_of_one_job_ends_the_sweep_before_anything_runs(tmp_path: Path, word: str, said: str) -> None:
     done = simulate(tmp_path, "-m", *QUICK, *word.split(), "hydra.sweep.dir=s")
-    assert done.returncode == 2 and said in done.stdout and "Traceback" not in done.stdout + done.stderr
+    told = done.stdout + done.stderr
+    assert done.returncode == 2 and said in told and "Traceback" not in told
     assert not jobs(tmp_path / "s")
 
 
