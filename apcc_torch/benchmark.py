@@ -95,7 +95,7 @@ def _hydra_main(cfg: DictConfig) -> None:
 
 def main() -> None:
     """Console entry point."""
-    with refused_in_a_sentence(lambda said: sys.stderr.write(f"apcc_torch.benchmark: {said}\n")):
+    with refused_in_a_sentence(lambda said: sys.stderr.write(f"apcc_torch.benchmark: {said}\n"), HydraException):
         check_words(sys.argv[1:], BenchmarkSettings, "benchmark")
         _hydra_main()
 

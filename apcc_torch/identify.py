@@ -10,6 +10,7 @@ from pathlib import Path
 import hydra
 from hydra.core.config_store import ConfigStore
 from hydra.core.hydra_config import HydraConfig
+from hydra.errors import HydraException
 from omegaconf import DictConfig
 
 from apcc_torch.composition.arm_file import arm_override
@@ -58,7 +59,7 @@ def with_arm(arguments: Sequence[str]) -> list[str]:
 
 def main() -> None:
     """Console entry point."""
-    with refused_in_a_sentence(lambda said: sys.stderr.write(f"apcc_torch.identify: {said}\n")):
+    with refused_in_a_sentence(lambda said: sys.stderr.write(f"apcc_torch.identify: {said}\n"), HydraException):
         check_words(sys.argv[1:], IdentifySettings, "identify")
         sys.argv[1:] = arm_override(with_arm(for_manual(sys.argv[1:], "arm=ftdcr_v6")))
         _hydra_main()

@@ -9,6 +9,7 @@ from pathlib import Path
 import hydra
 from hydra.core.config_store import ConfigStore
 from hydra.core.hydra_config import HydraConfig
+from hydra.errors import HydraException
 from omegaconf import DictConfig, OmegaConf
 
 from apcc_torch.composition.arm_file import arm_override
@@ -45,7 +46,7 @@ def _hydra_main(cfg: DictConfig) -> None:
 
 def main() -> None:
     """Console entry point."""
-    with refused_in_a_sentence(lambda said: sys.stderr.write(f"apcc_torch.robot: {said}\n")):
+    with refused_in_a_sentence(lambda said: sys.stderr.write(f"apcc_torch.robot: {said}\n"), HydraException):
         check_words(sys.argv[1:], RealtimeSettings, "realtime")
         sys.argv[1:] = arm_override(for_manual(sys.argv[1:], "experiment=setpoint"))
         _hydra_main()

@@ -10,6 +10,7 @@ from pathlib import Path
 import hydra
 from hydra.core.config_store import ConfigStore
 from hydra.core.hydra_config import HydraConfig
+from hydra.errors import HydraException
 from hydra.types import RunMode
 from omegaconf import DictConfig
 
@@ -57,7 +58,7 @@ def _hydra_main(cfg: DictConfig) -> float | None:
 def main() -> None:
     """Console entry point."""
     try:
-        with refused_in_a_sentence(lambda said: sys.stderr.write(f"apcc_torch.simulate: {said}\n")):
+        with refused_in_a_sentence(lambda said: sys.stderr.write(f"apcc_torch.simulate: {said}\n"), HydraException):
             check_words(sys.argv[1:], SimulateSettings, "simulate")
             sys.argv[1:] = with_batch(arm_override(for_manual(sys.argv[1:], "experiment=kinematic")))
             _hydra_main()

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import yaml
-from hydra.errors import HydraException, OverrideParseException
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
@@ -86,18 +85,19 @@ def groups(config: str) -> dict[str, tuple[str, ...]]:
 
 
 @contextmanager
-def refused_in_a_sentence(tell: Callable[[str], object]) -> Iterator[None]:
+def refused_in_a_sentence(tell: Callable[[str], object], *refusals: type[Exception]) -> Iterator[None]:
     """Runs a program of hydra's: what hydra refuses ends it with exit code 2 and one sentence, not hydra's pages.
 
     Args:
         tell: What takes the sentence.
+        *refusals: What hydra raises.
     """
     with one_sentence(tell):
         before = os.environ.get(_RAISES)
         os.environ[_RAISES] = "1"
         try:
             yield
-        except (HydraException, OmegaConfBaseException) as error:
+        except (OmegaConfBaseException, *refusals) as error:
             raise ConfigError(sentence(error)) from error
         finally:
             if before is None:
@@ -124,8 +124,9 @@ def sentence(error: Exception) -> str:
     if options and choice is not None:
         names = options.partition("Config search path")[0].split()[1:]
         return f"{choice[1]} has no choice {choice[2]!r}{_meant(choice[1], choice[2], names)}"
-    if isinstance(error, OverrideParseException):
-        return f"{error.override!r} cannot be read: {lines[lines[0].startswith('Error parsing override')]}"
+    word = getattr(error, "override", None)  # of what hydra cannot parse
+    if isinstance(word, str):
+        return f"{word!r} cannot be read: {lines[lines[0].startswith('Error parsing override')]}"
     key = re.match(r"Could not override '([^']+)'", lines[0])
     return lines[0] if key is None else f"{key[1]} is no setting"
 
