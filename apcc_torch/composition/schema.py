@@ -92,12 +92,13 @@ def refused_in_a_sentence(tell: Callable[[str], object], *refusals: type[Excepti
         tell: What takes the sentence.
         *refusals: What hydra raises.
     """
+    refused: tuple[type[Exception], ...] = (OmegaConfBaseException, *refusals)
     with one_sentence(tell):
         before = os.environ.get(_RAISES)
         os.environ[_RAISES] = "1"
         try:
             yield
-        except (OmegaConfBaseException, *refusals) as error:
+        except refused as error:
             raise ConfigError(sentence(error)) from error
         finally:
             if before is None:
