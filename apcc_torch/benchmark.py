@@ -20,7 +20,7 @@ from apcc_torch.composition.arm_file import arm_override
 from apcc_torch.composition.benchmark import BenchmarkSettings, PairSettings
 from apcc_torch.composition.help import describe
 from apcc_torch.composition.run_settings import SimulateSettings
-from apcc_torch.composition.schema import check_words, schema, sentence, typed
+from apcc_torch.composition.schema import check_words, refused_in_a_sentence, schema, sentence, typed
 from apcc_torch.conf_path import conf_path
 from apcc_torch.errors import ConfigError, one_sentence
 from apcc_torch.files import write_atomically
@@ -97,9 +97,11 @@ def _hydra_main(cfg: DictConfig) -> None:
 
 def main() -> None:
     """Console entry point."""
-    with held_folder():
-        with one_sentence(lambda said: sys.stderr.write(f"apcc_torch.benchmark: {said}\n")):
-            check_words(sys.argv[1:], BenchmarkSettings)
+    with (
+        held_folder(),
+        refused_in_a_sentence(lambda said: sys.stderr.write(f"apcc_torch.benchmark: {said}\n"), HydraException),
+    ):
+        check_words(sys.argv[1:], BenchmarkSettings, "benchmark")
         _hydra_main()
 
 

@@ -19,6 +19,7 @@ from apcc_torch.composition.build import Builder
 from apcc_torch.composition.dynamics_law import with_dynamics
 from apcc_torch.composition.run_settings import SimulateSettings
 from apcc_torch.composition.schema import check_words, schema, sentence, text, typed
+from apcc_torch.composition.unread import check_given, of_a_simulation
 from apcc_torch.conf_path import conf_path
 from apcc_torch.control.composite_controller import CompositeController
 from apcc_torch.control.controller import APCCController
@@ -90,10 +91,12 @@ def compose(*overrides: str) -> Composed:
     """
     words = arm_override(overrides)
     if not GlobalHydra.instance().is_initialized():
-        check_words(words, SimulateSettings)
+        check_words(words, SimulateSettings, "simulate")
     try:
         with initialised():
             cfg = hydra_compose("simulate", words)
     except (HydraException, OmegaConfBaseException) as error:
         raise ConfigError(sentence(error)) from error
-    return Composed(typed(cfg, SimulateSettings))
+    settings = typed(cfg, SimulateSettings)
+    check_given(of_a_simulation, [settings], words)
+    return Composed(settings)

@@ -10,12 +10,14 @@ from pathlib import Path
 import hydra
 from hydra.core.config_store import ConfigStore
 from hydra.core.hydra_config import HydraConfig
+from hydra.errors import HydraException
 from omegaconf import DictConfig
 
 from apcc_torch.composition.arm_file import arm_override
 from apcc_torch.composition.help import describe, for_manual
-from apcc_torch.composition.identify import IdentifySettings, known_arm
-from apcc_torch.composition.schema import check_words, schema, typed
+from apcc_torch.composition.identify import IdentifySettings, known_arm, of_a_fit
+from apcc_torch.composition.schema import check_words, refused_in_a_sentence, schema, typed
+from apcc_torch.composition.unread import check_given
 from apcc_torch.conf_path import conf_path
 from apcc_torch.errors import ConfigError, one_sentence
 from apcc_torch.experiments import identification
@@ -34,6 +36,7 @@ def _hydra_main(cfg: DictConfig) -> float:
     folder = Path(HydraConfig.get().runtime.output_dir)
     with one_sentence(log.error):
         settings = typed(cfg, IdentifySettings)
+        check_given(of_a_fit, [settings], HydraConfig.get().overrides.task)
         metrics, text = identification.run(settings, folder, log.info if settings.progress else log.debug)
     log.info("results in %s\n%s", for_terminal(str(folder)), text)
     return metrics["arm_identified_tip_rmse_mm"]
@@ -58,10 +61,12 @@ def with_arm(arguments: Sequence[str]) -> list[str]:
 
 def main() -> None:
     """Console entry point."""
-    with held_folder():
-        with one_sentence(lambda said: sys.stderr.write(f"{said}\n")):
-            sys.argv[1:] = arm_override(with_arm(for_manual(sys.argv[1:], "arm=ftdcr_v6")))
-            check_words(sys.argv[1:], IdentifySettings)
+    with (
+        held_folder(),
+        refused_in_a_sentence(lambda said: sys.stderr.write(f"apcc_torch.identify: {said}\n"), HydraException),
+    ):
+        check_words(sys.argv[1:], IdentifySettings, "identify")
+        sys.argv[1:] = arm_override(with_arm(for_manual(sys.argv[1:], "arm=ftdcr_v6")))
         _hydra_main()
 
 

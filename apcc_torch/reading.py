@@ -11,6 +11,7 @@ from typing import Any, TypeVar, Union, cast
 
 from torch import Tensor
 
+from apcc_torch.annotations import is_finite, shown
 from apcc_torch.classes import Trust, class_named, name_of
 from apcc_torch.errors import ApccError, ConfigError
 from apcc_torch.part import part_of
@@ -43,7 +44,7 @@ def read(
         ValueRangeError: A number is out of its range.
     """
     if not isinstance(values, Mapping):
-        raise ConfigError(f"{key or 'the settings'} must hold keys and values, got {values!r}")
+        raise ConfigError(f"{key or 'the settings'} must hold keys and values, got {shown(values)}")
     for name in values:
         check_key(str(name), root, key)
     # What only code may set comes along where values start from settings.
@@ -63,6 +64,8 @@ def read(
 def check_key(name: str, root: type[Settings], key: str = "") -> None:
     """Raises ConfigError where a class of settings, which stand at `key`, has none of that name."""
     known = [each.name for each in keys(root)]
+    if name in root.elsewhere:
+        raise ConfigError(f"{_join(key, name)} is no setting here, but one of {root.elsewhere[name]}")
     if name not in known:
         raise ConfigError(f"{_join(key, name)} is no setting{did_you_mean(name, known)}")
 
@@ -104,7 +107,7 @@ def _value(value: Any, each: Field[Any], root: type[Settings], key: str, trust: 
             return _entries(value, inner[0], key)
     # YAML tells 2 from 2.0, and a setting that is a number does not.
     if isinstance(value, int) and not isinstance(value, bool) and float in options and int not in options:
-        return float(value)
+        return _number(value)
     return value
 
 
@@ -122,14 +125,19 @@ def nested_in(root: type[Settings], name: str) -> type[Settings] | None:
 
 def _entries(value: Any, inner: Any, key: str) -> tuple[Any, ...]:
     if isinstance(value, str) or not isinstance(value, Sequence):
-        raise ConfigError(f"{key} must be a list, got {value!r}")
+        raise ConfigError(f"{key} must be a list, got {shown(value)}")
     if inner in (float, int, str):
         wanted = {float: (int, float), int: (int,), str: (str,)}[inner]
         word = {float: "numbers", int: "whole numbers", str: "texts"}[inner]
         if any(isinstance(entry, bool) or not isinstance(entry, wanted) for entry in value):
-            raise ConfigError(f"{key} must be a list of {word}, got {list(value)!r}")
-        return tuple(float(entry) if inner is float else entry for entry in value)
+            raise ConfigError(f"{key} must be a list of {word}, got {shown(list(value))}")
+        return tuple(_number(entry) if inner is float else entry for entry in value)
     return tuple(value)
+
+
+def _number(value: float) -> float:
+    """As a float, where it is not above all of them: the settings themselves refuse that."""
+    return float(value) if is_finite(value) else value
 
 
 def read_part(values: Any, base: type, key: str, trust: Trust = Trust.ANY, default: Any = None) -> Settings:

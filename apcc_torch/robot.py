@@ -9,12 +9,14 @@ from pathlib import Path
 import hydra
 from hydra.core.config_store import ConfigStore
 from hydra.core.hydra_config import HydraConfig
+from hydra.errors import HydraException
 from omegaconf import DictConfig, OmegaConf
 
 from apcc_torch.composition.arm_file import arm_override
 from apcc_torch.composition.help import describe, for_manual
-from apcc_torch.composition.realtime import RealtimeSettings
-from apcc_torch.composition.schema import check_words, schema
+from apcc_torch.composition.realtime import RealtimeSettings, of_a_realtime_run
+from apcc_torch.composition.schema import check_words, refused_in_a_sentence, schema
+from apcc_torch.composition.unread import check_given
 from apcc_torch.conf_path import conf_path
 from apcc_torch.errors import one_sentence
 from apcc_torch.experiments.folder import metrics_text
@@ -35,6 +37,7 @@ OmegaConf.register_new_resolver("exit_codes", exit_code_table, replace=True)
 def _hydra_main(cfg: DictConfig) -> None:
     folder = Path(HydraConfig.get().runtime.output_dir)
     with one_sentence(log.error):
+        check_given(of_a_realtime_run, arm_run.planned(cfg), HydraConfig.get().overrides.task)
         outcome, metrics = arm_run.run(cfg, folder)
     level = logging.ERROR if outcome.reason.failed else logging.INFO
     log.log(level, "%s: %s; the arm is %s", outcome.reason.value, outcome.message, outcome.state.value)
@@ -45,10 +48,12 @@ def _hydra_main(cfg: DictConfig) -> None:
 
 def main() -> None:
     """Console entry point."""
-    with held_folder():
-        with one_sentence(lambda said: sys.stderr.write(f"apcc_torch.robot: {said}\n")):
-            sys.argv[1:] = arm_override(for_manual(sys.argv[1:], "experiment=setpoint"))
-            check_words(sys.argv[1:], RealtimeSettings)
+    with (
+        held_folder(),
+        refused_in_a_sentence(lambda said: sys.stderr.write(f"apcc_torch.robot: {said}\n"), HydraException),
+    ):
+        check_words(sys.argv[1:], RealtimeSettings, "realtime")
+        sys.argv[1:] = arm_override(for_manual(sys.argv[1:], "experiment=setpoint"))
         _hydra_main()
 
 

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from apcc_torch.classes import ALLOWED
+from apcc_torch.composition.arguments import Arguments
 from apcc_torch.errors import ApccError
 from apcc_torch.experiments.realtime_run import replay_log
 from apcc_torch.hardware.log_export import write_parquet, write_rerun
@@ -81,7 +82,7 @@ COMMANDS: dict[str, tuple[Callable[[RobotLog, argparse.Namespace], Answer], str]
 
 def parser() -> argparse.ArgumentParser:
     """The command line."""
-    top = argparse.ArgumentParser(
+    top = Arguments(
         prog="python -m apcc_torch.robot_log",
         description="Reads log.mcap of a run of apcc_torch.robot. A log that was cut off is read as far as it goes. "
         "Of a damaged one all that can be read is; what cannot is named, with exit code 2.",

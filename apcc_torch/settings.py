@@ -9,20 +9,25 @@ from __future__ import annotations
 
 import dataclasses
 import difflib
-import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import MISSING, dataclass, field, fields
+from math import pi
 from typing import Any, ClassVar, NamedTuple, Self, TypeVar
 
 import torch
 from torch import Tensor
 
+from apcc_torch.annotations import check_type, is_finite, numbers_in, shown
 from apcc_torch.errors import ConfigError, ValueRangeError
-from apcc_torch.modes import values_of
-from apcc_torch.spread import is_profile
 
 Setting = float | Tensor
 """A number for all rows, or (...) numbers that broadcast with the leading dimensions of what they are used on."""
+
+MANY = 10_000
+"""The most of what is counted, where each takes memory or time."""
+
+TURN = 2.0 * pi
+"""A full turn, rad: no angle that is a place around the backbone is larger."""
 
 PAPER, OURS = "paper", "ours"
 """Where a default comes from: the paper, or a choice that the paper leaves open."""
@@ -38,6 +43,7 @@ class About(NamedTuple):
         sections; "sections", one a section; "points" and "lists", lists of lists.
     apart: Whether zero is no number like others, so that rows with and without it share no batch.
     above, least, below, most: Range of every number in it, open and closed at the lower and at the upper end.
+    infinite: Whether a number in it may be infinite; else all are finite, with a range or without.
     choices: What a text may be; () for any.
     base: The class that a part named by `kind` has to be of; None where no part is named.
     key: Whether files and command lines may set it too, or code alone.
@@ -52,6 +58,7 @@ class About(NamedTuple):
     least: float | None = None
     below: float | None = None
     most: float | None = None
+    infinite: bool = False
     choices: tuple[str, ...] = ()
     base: type | None = None
     key: bool = True
@@ -60,8 +67,6 @@ class About(NamedTuple):
         """Raises ValueRangeError where a number, or one of those in lists and tensors, is out of range."""
         if self.choices:
             check_choice(key, value, self.choices)
-        if self.above is self.least is self.below is self.most is None:
-            return
         for number in numbers_in(value):
             inside = (
                 (self.above is None or number > self.above)
@@ -69,17 +74,20 @@ class About(NamedTuple):
                 and (self.below is None or number < self.below)
                 and (self.most is None or number <= self.most)
             )
-            if not inside or not math.isfinite(number):
-                raise ValueRangeError(f"{key} must be {self.range}, got {number}")
+            if not inside or not (self.infinite or is_finite(number)):
+                raise ValueRangeError(f"{key} must be {self.range}, got {shown(number)}")
 
     @property
     def range(self) -> str:
         """The range in words."""
         if self.below is self.most is None:
+            finite = "" if self.infinite else " and finite"
             low = self.least if self.above is None else self.above
+            if low is None:
+                return finite.removeprefix(" and ") or "a number"
             if low == 0:
-                return f"{'' if self.above == 0 else 'zero or '}positive and finite"
-            return f"{'at least' if self.above is None else 'above'} {low:g} and finite"
+                return f"{'' if self.above == 0 else 'zero or '}positive{finite}"
+            return f"{'at least' if self.above is None else 'above'} {low:g}{finite}"
         if self.above is self.least is None:
             return f"at most {self.most:g}" if self.below is None else f"below {self.below:g}"
         begin = f"({self.above:g}" if self.least is None else f"[{self.least:g}"
@@ -122,6 +130,8 @@ class Settings:
 
     part: ClassVar[type[Any]]
     """The class that they are of; see `Part`."""
+    elsewhere: ClassVar[Mapping[str, str]] = {}
+    """Keys that they lack and another command has: key to command."""
 
     def __init_subclass__(cls) -> None:
         torch.serialization.add_safe_globals([cls])
@@ -224,12 +234,17 @@ def check_names(owner: str, given: Iterable[str], known: Sequence[str]) -> None:
             raise ConfigError(f"{owner} has no setting {name!r}{did_you_mean(name, known)}")
 
 
+def close(name: str, known: Iterable[str]) -> str | None:
+    """The name that a mistyped one may stand for; None where nothing is close."""
+    return next(iter(difflib.get_close_matches(name, list(known), n=1, cutoff=0.6)), None)
+
+
 def did_you_mean(name: str, known: Iterable[str]) -> str:
     """ "; did you mean gamma?", or what there is where nothing is close."""
     known = list(known)
-    close = difflib.get_close_matches(name, known, n=1, cutoff=0.6)
-    if close:
-        return f"; did you mean {close[0]}?"
+    meant = close(name, known)
+    if meant is not None:
+        return f"; did you mean {meant}?"
     return f"; it has {', '.join(known)}" if known else "; it has none"
 
 
@@ -240,52 +255,8 @@ def check_choice(key: str, value: Any, options: Sequence[str]) -> str:
         ConfigError: "mode must be one of position, pose, got 'both'".
     """
     if not isinstance(value, str) or value not in options:
-        raise ConfigError(f"{key} must be one of {', '.join(options)}, got {value!r}")
+        raise ConfigError(f"{key} must be one of {', '.join(options)}, got {shown(value)}")
     return value
-
-
-_PLAIN: dict[str, tuple[type, ...]] = {"bool": (bool,), "int": (int,), "str": (str,), "float": (int, float)}
-_WORDS = {"bool": "true or false", "int": "a whole number", "str": "a text", "float": "a number"}
-
-
-def check_type(key: str, value: Any, annotation: str) -> None:
-    """Raises ConfigError where a value is of none of the types of its annotation, if those are plain ones."""
-    allowed = {"float" if part == "Setting" else part for part in annotation.replace(" ", "").split("|")}
-    if "Numbers" in allowed and not _are_numbers(value):
-        raise ConfigError(f"{key} must be a number, a list of numbers or [along, ...], got {value!r}")
-    plain = allowed - {"None", "Tensor"}
-    if not plain or not plain <= _PLAIN.keys():
-        return
-    tensors = "Tensor" in allowed or "Setting" in annotation
-    if isinstance(value, Tensor):
-        good = tensors
-    elif isinstance(value, bool):
-        good = "bool" in plain
-    else:
-        good = any(isinstance(value, _PLAIN[name]) for name in plain)
-    if not good:
-        raise ConfigError(f"{key} must be {' or '.join(_WORDS[name] for name in sorted(plain))}, got {value!r}")
-
-
-def _are_numbers(value: Any) -> bool:
-    """Whether a value is a number, a tensor, a profile, or lists of numbers."""
-    if isinstance(value, list | tuple):
-        return len(value) > 0 and all(map(_are_numbers, value[1:] if is_profile(value) else value))
-    return isinstance(value, int | float | Tensor) and not isinstance(value, bool)
-
-
-def numbers_in(value: Any) -> Iterable[float]:
-    """Every number in a number, a tensor, or lists and mappings of them; none of a tensor without values to read."""
-    if isinstance(value, Tensor):
-        yield from values_of(value.detach().flatten()) or ()
-    elif isinstance(value, Mapping):
-        for entry in value.values():
-            yield from numbers_in(entry)
-    elif isinstance(value, Sequence) and not isinstance(value, str):
-        for entry in value:
-            yield from numbers_in(entry)
-    elif isinstance(value, int | float) and not isinstance(value, bool):
-        yield value
 
 
 def check_setting(name: str, value: Value, zero: bool = False) -> Value:

@@ -10,13 +10,15 @@ from pathlib import Path
 import hydra
 from hydra.core.config_store import ConfigStore
 from hydra.core.hydra_config import HydraConfig
+from hydra.errors import HydraException
 from hydra.types import RunMode
 from omegaconf import DictConfig
 
 from apcc_torch.composition.arm_file import arm_override
 from apcc_torch.composition.help import describe, for_manual
 from apcc_torch.composition.run_settings import SimulateSettings
-from apcc_torch.composition.schema import check_words, schema
+from apcc_torch.composition.schema import check_words, refused_in_a_sentence, schema
+from apcc_torch.composition.unread import check_given, of_a_simulation
 from apcc_torch.conf_path import conf_path
 from apcc_torch.errors import one_sentence
 from apcc_torch.experiments.folder import metrics_text
@@ -47,6 +49,8 @@ def _hydra_main(cfg: DictConfig) -> float | None:
         return run_job(cfg, folder, overrides, f"{hydra_config.job.name}.log", points)
     with one_sentence(log.error):
         config = settings_of(cfg, folder)
+        if points is None:
+            check_given(of_a_simulation, [config], overrides)
         metrics = run(config, folder) if points is None else batch.run(config, points(), folder)
         value = objective_in(folder, config.objective)
     log.info("results in %s\n%s", for_terminal(str(folder)), metrics_text(metrics))
@@ -56,11 +60,11 @@ def _hydra_main(cfg: DictConfig) -> float | None:
 def main() -> None:
     """Console entry point."""
     with held_folder(Sweep):
-        with one_sentence(lambda said: sys.stderr.write(f"apcc_torch.simulate: {said}\n")):
-            sys.argv[1:] = with_batch(arm_override(for_manual(sys.argv[1:], "experiment=kinematic")))
-            check_words(sys.argv[1:], SimulateSettings)
         try:
-            _hydra_main()
+            with refused_in_a_sentence(lambda said: sys.stderr.write(f"apcc_torch.simulate: {said}\n"), HydraException):
+                check_words(sys.argv[1:], SimulateSettings, "simulate")
+                sys.argv[1:] = with_batch(arm_override(for_manual(sys.argv[1:], "experiment=kinematic")))
+                _hydra_main()
         except (Exception, SystemExit):  # a stop is told in a word
             Sweep.close()
             raise

@@ -76,8 +76,8 @@ def test_an_arm_of_a_file(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (("experiment=kinematics",), r"Could not find 'experiment/kinematics'; there is .*kinematic, replay"),
-        (("experiment=kinematic", "adaptation=normal"), "there is custom, estimator_aware, kinematic, none"),
+        (("experiment=kinematics",), r"experiment has no choice 'kinematics'; did you mean kinematic\?"),
+        (("experiment=kinematic", "adaptation=normal"), "adaptation has no choice 'normal'; did you mean normalised"),
         (("experimnt=kinematic",), "experimnt is no setting; did you mean experiment?"),
         (("experiment=kinematic", "controller.null_gian=1"), "null_gian is no setting; did you mean null_gain?"),
         (("experiment=kinematic", "adaptation=none", "adaptation.gamma=3"), "adaptation.gamma is read by nothing"),

@@ -25,6 +25,7 @@ LAYERS: tuple[tuple[str, ...], ...] = (
     ("plain_text",),
     ("errors",),
     ("conf_path", "files", "modes", "processes", "spread"),
+    ("annotations",),
     ("settings", "shapes"),
     ("part",),
     ("classes",),

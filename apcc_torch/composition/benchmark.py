@@ -30,8 +30,10 @@ class GridSettings(Settings):
 
     name: str = setting(meaning="of the grid")
     comparisons: dict[str, ComparisonSettings] = setting(factory=dict, meaning="name: runs under one idea")
-    setpoints: int | None = setting(None, "", OURS, "how many of each experiment's set-points; null: all")
-    payloads: tuple[float, ...] | None = setting(None, "kg", OURS, "instead of each experiment's; null: as they are")
+    setpoints: int | None = setting(None, "", OURS, "how many of each experiment's set-points; null: all", least=1)
+    payloads: tuple[float, ...] | None = setting(
+        None, "kg", OURS, "instead of each experiment's; null: as they are", least=0, most=1000
+    )
     duration: float | None = setting(None, "s", OURS, "instead of each experiment's; null: as it is", above=0)
 
 
@@ -50,9 +52,14 @@ class BenchmarkSettings(FolderSettings):
 
     grid: GridSettings = setting(meaning="what is run")
     experiments: OverrideSettings = setting(factory=OverrideSettings, meaning="settings of the experiments to change")
-    workers: int = setting(2, "", OURS, "processes that share the grids", least=1)
+    workers: int = setting(2, "", OURS, "processes that share the grids", least=1, most=1024)
     threads: int | None = setting(
-        1, "", OURS, "a process's torch threads; small batches run fastest on one; null: torch's choice", least=1
+        1,
+        "",
+        OURS,
+        "a process's torch threads; small batches run fastest on one; null: torch's choice",
+        least=1,
+        most=1024,
     )
     figures: bool = setting(True, "", OURS, "draw the figures and the films")
     progress: bool = setting(True, "", OURS, "show progress bars where there is a terminal")

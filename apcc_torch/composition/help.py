@@ -9,10 +9,9 @@ from dataclasses import MISSING
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import yaml
 from omegaconf import DictConfig, OmegaConf
 
-from apcc_torch.composition.schema import typed
+from apcc_torch.composition.schema import groups, typed
 from apcc_torch.conf_path import conf_path
 from apcc_torch.errors import ApccError
 from apcc_torch.reading import nested_in
@@ -102,17 +101,12 @@ def _keys_of(command: str, *, _root_: DictConfig) -> str:
 
 
 def _groups_of(command: str) -> str:
-    folder = Path(conf_path())
-    entries = yaml.safe_load((folder / f"{COMMANDS[command][1]}.yaml").read_text(encoding="utf-8"))["defaults"]
-    groups = [name.removeprefix("override ") for entry in entries if isinstance(entry, dict) for name in entry]
     lines = []
-    for group in groups:
-        files = sorted((folder / group).glob("*.yaml"))
-        lines += ["", group] if files else []
-        for path in files:
-            lines += textwrap.wrap(
-                _head(path), WIDTH, initial_indent=f"    {path.stem:<24} ", subsequent_indent=29 * " "
-            )
+    for group, names in groups(COMMANDS[command][1]).items():
+        lines += ["", group] if names else []
+        for name in names:
+            head = _head(Path(conf_path(), group, f"{name}.yaml"))
+            lines += textwrap.wrap(head, WIDTH, initial_indent=f"    {name:<24} ", subsequent_indent=29 * " ")
     return "\n".join(lines)
 
 

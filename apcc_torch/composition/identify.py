@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from apcc_torch.composition.run_settings import FolderSettings
+from apcc_torch.composition.unread import Unread
 from apcc_torch.errors import ConfigError, DataError
 from apcc_torch.identification.arm_blocks import KEYS, Spreads, arm_parameters
 from apcc_torch.identification.fit import FitSettings
@@ -15,7 +16,7 @@ from apcc_torch.identification.series import RecordingSettings, Series, read_ser
 from apcc_torch.identification.split import SplitSettings
 from apcc_torch.model.arm import Arm
 from apcc_torch.recordings.recording import detect_layout
-from apcc_torch.settings import OURS, check_choice, names, setting
+from apcc_torch.settings import MANY, OURS, check_choice, names, setting
 
 GEOMETRY = (
     "rest_length",
@@ -37,7 +38,7 @@ class ArmFitSettings(FitSettings):
 
     samples: int = setting(400, "", OURS, "training samples that the fits see, evenly spread", least=2)
     history: int = setting(
-        1, "", OURS, "inputs that matter, from now back; 1 for an arm at rest in every sample", least=1
+        1, "", OURS, "inputs that matter, from now back; 1 for an arm at rest in every sample", least=1, most=MANY
     )
     slide_travel: float = setting(
         0.0, "", OURS, "travel of an input in which friction turns over, in its unit; 0: no friction", least=0
@@ -70,7 +71,15 @@ class IdentifySettings(FolderSettings):
     online: ArmOnlineSettings = setting(factory=ArmOnlineSettings, meaning="how the geometry is adapted online")
     figures: bool = setting(True, "", OURS, "whether figures are drawn")
     progress: bool = setting(True, "", OURS, "whether rounds are told as they end")
-    threads: int | None = setting(1, "", OURS, "torch threads; null leaves torch its choice", least=1)
+    threads: int | None = setting(1, "", OURS, "torch threads; null leaves torch its choice", least=1, most=1024)
+
+
+def of_a_fit(settings: IdentifySettings) -> Unread:
+    """What an identification does not read."""
+    if settings.fit.slide_travel == 0:
+        yield "spread.friction", "fit.slide_travel is zero, there is no friction"
+    if settings.fit.history == 1:
+        yield "spread.damping_ratio", "fit.history is 1, the arm is at rest in every sample"
 
 
 def recorded(settings: IdentifySettings) -> Series:

@@ -4,16 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import ClassVar
 
-from apcc_torch.composition.run_settings import RunSettings
+from apcc_torch.composition.run_settings import RunSettings, SimulateSettings
+from apcc_torch.composition.unread import Unread, of_a_run
 from apcc_torch.hardware.calibration_confirmation import ConfirmationSettings
 from apcc_torch.hardware.calibration_measurement import MeasurementSettings
 from apcc_torch.hardware.devices import HardwareSettings
 from apcc_torch.hardware.guards import GuardSettings
 from apcc_torch.hardware.ramp import RampSettings
 from apcc_torch.hardware.setup import LoopSettings
+from apcc_torch.hardware.simulated.actuator import SimulatedActuatorSettings
+from apcc_torch.hardware.simulated.sensor import SimulatedSensorSettings
 from apcc_torch.native.compiled import MODES
-from apcc_torch.settings import OURS, PAPER, Settings, setting
+from apcc_torch.settings import OURS, PAPER, Settings, names, setting
+
+SIMULATED = (SimulatedActuatorSettings, SimulatedSensorSettings)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,6 +50,10 @@ class SeriesSettings(Settings):
 class RealtimeSettings(RunSettings):
     """Root of `python -m apcc_torch.robot`."""
 
+    elsewhere: ClassVar[Mapping[str, str]] = dict.fromkeys(
+        (name for name in names(SimulateSettings) if name not in names(RunSettings)), "python -m apcc_torch.simulate"
+    )
+
     compile: str = setting(
         "auto",
         "",
@@ -61,3 +71,21 @@ class RealtimeSettings(RunSettings):
     dry_run: bool = setting(False, meaning="everything but torque; the log says what would be sent")
     view: bool = setting(True, meaning="the live view, where there is a terminal")
     log: bool = setting(True, meaning="write log.mcap")
+
+
+def of_a_realtime_run(c: RealtimeSettings) -> Unread:
+    """What a run in real time does not read."""
+    e = c.experiment
+    yield from of_a_run(c)
+    yield "controller.rate", "loop.rate is the rate here"
+    yield "experiment.start_errors experiment.start_error", "an arm is one row"
+    if e.kind != "tendons":
+        yield "ramp", "experiment.kind is not tendons"
+    if e.kind != "dynamic" or not e.setpoints:
+        yield "guards.arrival_error guards.arrival_dwell", "there is no set-point to arrive at"
+    if not any(isinstance(device, SIMULATED) for device in (c.hardware.actuator, c.hardware.sensor)):
+        yield "plant sensors", "the arm is a real one"
+    if c.calibration.file is None and e.kind != "calibration":
+        yield "calibration", "calibration.file names none"
+    if not c.series.runs:
+        yield "series", "there are no series.runs"

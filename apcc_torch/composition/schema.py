@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -12,15 +15,19 @@ from omegaconf.errors import OmegaConfBaseException
 
 from apcc_torch.classes import Trust
 from apcc_torch.conf_path import conf_path
-from apcc_torch.errors import ConfigError, DataError
+from apcc_torch.errors import ConfigError, DataError, one_sentence
 from apcc_torch.files import yaml_in
 from apcc_torch.reading import check_key, defaults, nested_in, plain, read
-from apcc_torch.settings import Settings, about_of, default_of, keys
+from apcc_torch.settings import Settings, about_of, close, default_of, did_you_mean, keys
 
 Root = TypeVar("Root", bound=Settings)
 
 OTHERS = re.compile(r"-(cd|cp|cn|sc|-config-(dir|path|name)|-shell-completion)\b")
 """Options of hydra that bring a user's own configurations, which may hold keys of their own, or no settings at all."""
+
+
+_RAISES = "HYDRA_FULL_ERROR"
+"""With it hydra raises what it refuses; it prints it otherwise, with all that there is to choose from and where."""
 
 
 def schema(root: type[Settings]) -> DictConfig:
@@ -49,18 +56,56 @@ def _chosen(values: dict[str, Any], root: type[Settings]) -> dict[str, Any]:
     return values
 
 
-def check_words(words: Sequence[str], root: type[Settings]) -> None:
-    """Raises ConfigError where a word of a command line sets what is neither a key, nor a group, nor hydra's own."""
+def check_words(words: Sequence[str], root: type[Settings], config: str) -> None:
+    """Raises ConfigError where a word of a command line sets what is neither a key, nor a group, nor hydra's own.
+
+    Args:
+        words: The command line.
+        root: Its settings.
+        config: The name of its configuration.
+    """
     if any(OTHERS.match(word) for word in words):
         return
-    groups = [path.name for path in Path(conf_path()).iterdir() if path.is_dir()]
     known = [each.name for each in keys(root)]
     for word in words:
         key = re.match(r"(\w+)([\w./@:-]*)=", word)
         if key is not None and key[1] in known:
             _check_path(f"{key[1]}{key[2]}".split("."), root)
-        elif key is not None and key[1] not in (*groups, "hydra"):
+        elif key is not None and key[1] not in (*groups(config), "hydra"):
             check_key(key[1], root)
+
+
+@cache
+def groups(config: str) -> dict[str, tuple[str, ...]]:
+    """What a configuration of the package lets choose, in its order: group to names, none of hydra's own groups."""
+    folder = Path(conf_path())
+    file = folder / f"{config}.yaml"
+    entries = yaml_in(file.read_text(encoding="utf-8"), file.name)["defaults"]
+    chosen = [name.removeprefix("override ") for entry in entries if isinstance(entry, dict) for name in entry]
+    return {group: tuple(sorted(path.stem for path in (folder / group).glob("*.yaml"))) for group in chosen}
+
+
+@contextmanager
+def refused_in_a_sentence(tell: Callable[[str], object], *refusals: type[Exception]) -> Iterator[None]:
+    """Runs a program of hydra's: what hydra refuses ends it with exit code 2 and one sentence, not hydra's pages.
+
+    Args:
+        tell: What takes the sentence.
+        *refusals: What hydra raises.
+    """
+    refused: tuple[type[Exception], ...] = (OmegaConfBaseException, *refusals)
+    with one_sentence(tell):
+        before = os.environ.get(_RAISES)
+        os.environ[_RAISES] = "1"
+        try:
+            yield
+        except refused as error:
+            raise ConfigError(sentence(error)) from error
+        finally:
+            if before is None:
+                del os.environ[_RAISES]
+            else:
+                os.environ[_RAISES] = before
 
 
 def _check_path(path: Sequence[str], root: type[Settings]) -> None:
@@ -76,10 +121,24 @@ def _check_path(path: Sequence[str], root: type[Settings]) -> None:
 def sentence(error: Exception) -> str:
     """What hydra or OmegaConf say of an error, as one sentence; of a choice that there is not, with what there is."""
     said, _, options = str(error).partition("Available options in ")
-    first = said.strip().splitlines()[0]
-    if not options:
-        return first
-    return f"{first}; there is {', '.join(options.partition('Config search path')[0].split()[1:])}"
+    lines = [line.strip() for line in said.strip().splitlines()]
+    choice = re.search(r"Could not find '([\w/]+)/([^/']+)'", lines[0])
+    if options and choice is not None:
+        names = options.partition("Config search path")[0].split()[1:]
+        return f"{choice[1]} has no choice {choice[2]!r}{_meant(choice[1], choice[2], names)}"
+    word = getattr(error, "override", None)  # of what hydra cannot parse
+    if isinstance(word, str):
+        return f"{word!r} cannot be read: {lines[lines[0].startswith('Error parsing override')]}"
+    key = re.match(r"Could not override '([^']+)'", lines[0])
+    return lines[0] if key is None else f"{key[1]} is no setting"
+
+
+def _meant(group: str, name: str, names: Sequence[str]) -> str:
+    """The choice of a group that a name may stand for, else one of another group, else what there is."""
+    others = {path.stem: path.parent.name for path in sorted(Path(conf_path()).glob("*/*.yaml"))}
+    if not close(name, names) and (other := close(name, others)) is not None and others[other] != group:
+        return f"; did you mean {others[other]}={other}?"
+    return did_you_mean(name, names)
 
 
 def values_of(cfg: DictConfig) -> dict[str, Any]:
@@ -106,7 +165,12 @@ def typed(cfg: DictConfig, root: type[Root]) -> Root:
     Raises:
         ConfigError, ValueRangeError: A key is unknown or missing, a value of the wrong type or out of range.
     """
-    return read(values_of(cfg), root)
+    values = values_of(cfg)
+    for name in values:
+        if name in root.elsewhere:
+            what = f"experiment={values['experiment']['name']}" if "experiment" in values else "this"
+            raise ConfigError(f"{what} is for {root.elsewhere[name]}: it sets {name}")
+    return read(values, root)
 
 
 def text(settings: Settings) -> str:

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from apcc_torch.control.bounds import scaled_within
-from apcc_torch.control.gain import gain_matrix
+from apcc_torch.control.gain import check_gain, gain_matrix
 from apcc_torch.control.length_law import LawStep, LengthLaw, Memory
 from apcc_torch.estimation.state_feedback import StateFeedback
 from apcc_torch.model.coordinates import Coordinates
@@ -37,6 +37,10 @@ class AdaptiveLawSettings(Settings):
     normalisation: Setting = setting(0.0, "s^2", OURS, "nu in 1 / (1 + nu |Y|^2)", rows="number", least=0)
     dead_zone: Setting = setting(0.0, "m", OURS, "position error below which nothing adapts", rows="number", least=0)
     gain_scale: Setting = setting(1.0, "", OURS, "factor on gamma", rows="number", above=0)
+
+    def check(self) -> None:
+        """Raises where gamma is no positive gain."""
+        check_gain("gamma", self.gamma)
 
 
 class AdaptiveLaw(LengthLaw):
@@ -125,6 +129,7 @@ class AdaptiveLaw(LengthLaw):
             dt: (...) step, s.
         """
         check_tensor("pi_hat", pi_hat, (self.n_sections,))
+        check_tensor("dt", dt, ())
         step = pi_hat + dt.unsqueeze(-1) * self.velocity(Y, e)
         return torch.where(torch.isfinite(step), step, pi_hat)
 

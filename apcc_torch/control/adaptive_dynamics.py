@@ -60,15 +60,12 @@ class AdaptiveDynamicsSettings(Settings):
     filter_time: float = setting(
         0.3, "s", OURS, "T_f, low-pass on forces and regressor, so that no acceleration is measured", above=0
     )
-    memory: float = setting(2.0, "s", OURS, "T_m, over which the past counts; infinite for all of it")
+    memory: float = setting(
+        2.0, "s", OURS, "T_m, over which the past counts; infinite for all of it", above=0, infinite=True
+    )
     torque_noise: float = setting(0.2, "N m", OURS, "deviation of forces that the model does not explain", above=0)
     length: float = setting(0.1, "m", OURS, "by which a force counts as a torque", above=0)
     dead_zone: float = setting(0.0, "N m", OURS, "prediction error up to which nothing is learnt from it", least=0)
-
-    def check(self) -> None:
-        """Raises where the memory is not positive."""
-        if not self.memory > 0:
-            raise ValueRangeError(f"memory must be positive, got {self.memory}")
 
 
 class AdaptiveDynamics(Part):

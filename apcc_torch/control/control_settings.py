@@ -52,7 +52,7 @@ class ControllerSettings(Settings):
 class ControllerKeys(ControllerSettings, InverseKinematicsSettings):
     """The keys of `controller`: its own settings and those of its inverse kinematics."""
 
-    rate: float = setting(100.0, "Hz", OURS, "of the loop that runs it in a simulation", above=0)
+    rate: float = setting(100.0, "Hz", OURS, "of the loop that runs it in a simulation", above=0, most=1e5)
 
 
 @dataclass(frozen=True, kw_only=True)

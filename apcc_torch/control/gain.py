@@ -7,8 +7,20 @@ from torch import Tensor, nn
 
 from apcc_torch.errors import ShapeError, ValueRangeError
 from apcc_torch.modes import holds
+from apcc_torch.settings import About
 from apcc_torch.shapes import check_finite, check_tensor
 from apcc_torch.spread import Numbers, spread
+
+
+def check_gain(name: str, gain: Numbers) -> None:
+    """Raises where a gain has no meaning on any arm: a number not positive, a matrix that `gain_matrix` refuses."""
+    rows = gain if isinstance(gain, list | tuple) and gain and isinstance(gain[0], list | tuple) else ()
+    if rows:
+        gain_matrix(name, gain, len(rows))
+    elif isinstance(gain, Tensor) and gain.dim() > 1:
+        gain_matrix(name, gain, gain.shape[-1])
+    else:
+        About(above=0).check(name, gain)
 
 
 def gain_matrix(name: str, gain: Numbers, n: int) -> Tensor:

@@ -9,7 +9,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from apcc_torch.control.gain import gain_matrix
+from apcc_torch.control.gain import check_gain, gain_matrix
 from apcc_torch.linalg import damped_pseudo_inverse
 from apcc_torch.model.coordinates import CONSTANT_CURVATURE, Coordinates
 from apcc_torch.part import Part, hold_rows
@@ -90,6 +90,10 @@ class InverseKinematicsSettings(Settings):
         rows="number",
         above=0,
     )
+
+    def check(self) -> None:
+        """Raises where K is no positive gain."""
+        check_gain("K", self.K)
 
 
 class InverseKinematics(Part):

@@ -26,7 +26,7 @@ from apcc_torch.model.abscissae import located
 from apcc_torch.model.kinematic_model import KinematicModel
 from apcc_torch.modes import holds, none_left, values_of
 from apcc_torch.part import hold_rows, refuse_parameter
-from apcc_torch.settings import OURS, Setting, aligned, is_on, resolved, setting
+from apcc_torch.settings import MANY, OURS, Setting, aligned, is_on, resolved, setting
 from apcc_torch.shapes import check_finite, check_tensor
 from apcc_torch.spread import is_profile
 
@@ -60,7 +60,7 @@ class LengthBankSettings(SensorCurveSettings):
         "lengths tried, over the nominal ones: one list, or one a section but the last, which takes the rest",
         rows="lists",
     )
-    samples: int = setting(4, "", OURS, "points of the curve between two sensors", least=1)
+    samples: int = setting(4, "", OURS, "points of the curve between two sensors", least=1, most=MANY)
     elongation_weight: Setting = setting(
         0.02, "", OURS, "mu, how much elongation weighs against distance", rows="number", least=0
     )
@@ -131,6 +131,7 @@ class LengthBank(LengthLaw):
     """
 
     settings_type = LengthBankSettings
+    needs_velocity = False
     nominal: Tensor
     candidates: Tensor
     elongation_weight: Setting

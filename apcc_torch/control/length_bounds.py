@@ -92,6 +92,7 @@ class LengthBounds(Part):
                 which V of Eq. (18) measures: it brings pi_hat nearer to every pi that reaches as far, so the proof's V
                 still falls. None for the identity.
         """
+        check_tensor("pi_hat", pi_hat, (None,))
         if self.least is not None:
             pi_hat = torch.maximum(pi_hat, self.least.to(pi_hat))
         if self.largest is not None:

@@ -69,6 +69,8 @@ class LengthLaw(Part, ABC):
 
     needs_sensitivity: bool = False
     """Whether `LawStep.dq_dpi` is needed."""
+    needs_velocity: bool = True
+    """Whether `LawStep.qdot` is needed."""
 
     @classmethod
     def on(cls, nominal: Tensor, feedback: StateFeedback, settings: Settings) -> Self:

@@ -135,6 +135,7 @@ class ResidualLaw(LengthLaw):
     memory: Setting
     rate: Setting
     needs_sensitivity = True
+    needs_velocity = False
 
     def __init__(self, nominal: Tensor, feedback: StateFeedback, *settings: Any, **changes: Any) -> None:
         super().__init__()

@@ -67,8 +67,6 @@ class Ranges(Settings):
         super().check()
         for each in fields(Ranges):
             check_range(each.name, getattr(self, each.name))
-        if any(int(end) != end for end in self.delay):
-            raise ValueRangeError(f"delay must be a range of whole control periods, got {self.delay}")
 
     def varies(self, name: str) -> bool:
         """Whether the quantity differs from its nominal value 1 in any row."""

@@ -12,9 +12,10 @@ from gymnasium.wrappers import TimeLimit
 from numpy.typing import NDArray
 from torch import Tensor
 
+from apcc_torch.annotations import shown
 from apcc_torch.envs.simulator import TruncatedReason
 from apcc_torch.envs.vector_env import ArmVectorEnv
-from apcc_torch.errors import ConfigError
+from apcc_torch.errors import ConfigError, DtypeError
 
 Observation = NDArray[np.float32]
 
@@ -52,7 +53,10 @@ class ArmEnv(gymnasium.Env[Observation, Observation]):
 
     def step(self, action: Observation) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """One control period."""
-        given = torch.as_tensor(np.asarray(action, dtype=np.float32)).unsqueeze(0)
+        try:
+            given = torch.as_tensor(np.asarray(action, dtype=np.float32)).unsqueeze(0)
+        except (TypeError, ValueError) as error:
+            raise DtypeError(f"action must be numbers, got {shown(action)}") from error
         observation, reward, terminated, truncated, info = self.batch.step(given)
         told = _plain(info)
         if self.time_limit is not None and self.batch.state is not None and not told["truncated_reason"]:

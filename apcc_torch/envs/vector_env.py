@@ -13,6 +13,7 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 from torch import Tensor
 
+from apcc_torch.annotations import check_type, shown
 from apcc_torch.envs.rendering import Picture, Renderer, load_renderer
 from apcc_torch.envs.row_trees import replaced, select, taken
 from apcc_torch.envs.simulator import EnvState, Outcome, Simulator, SimulatorSettings, View
@@ -21,7 +22,7 @@ from apcc_torch.envs.tasks import Reach
 from apcc_torch.errors import ConfigError, DtypeError, ShapeError, ValueRangeError
 from apcc_torch.model.arm import Arm
 from apcc_torch.native.compiled import TorchStep
-from apcc_torch.settings import resolved
+from apcc_torch.settings import About, resolved
 
 DTYPES = {"float64": torch.float64, "float32": torch.float32}
 
@@ -79,8 +80,8 @@ class ArmVectorEnv(VectorEnv[Tensor, Tensor, Tensor]):
         compile: bool = False,
         **settings: Any,
     ) -> None:
-        if num_envs < 1:
-            raise ValueRangeError(f"num_envs must be at least 1, got {num_envs}")
+        check_type("num_envs", num_envs, "int")
+        About(least=1).check("num_envs", num_envs)
         if render_mode is not None and render_mode not in self.metadata["render_modes"]:
             raise ConfigError(
                 f"render_mode must be one of {', '.join(self.metadata['render_modes'])}, got {render_mode!r}"
@@ -210,7 +211,12 @@ class ArmVectorEnv(VectorEnv[Tensor, Tensor, Tensor]):
         return {"error": view.error.float(), "is_success": success, "truncated_reason": reason.clone()}
 
     def _checked_action(self, actions: Tensor | NDArray[Any]) -> Tensor:
-        action = torch.as_tensor(actions, device=self.device)
+        try:
+            action = torch.as_tensor(actions, device=self.device)
+        except (TypeError, ValueError, RuntimeError) as error:
+            raise DtypeError(f"actions must be numbers, got {shown(actions)}") from error
+        if action.is_complex() or action.dtype == torch.bool:
+            raise DtypeError(f"actions must be numbers, got {action.dtype}")
         want = (self.num_envs, self.simulator.action_size)
         if tuple(action.shape) != want:
             raise ShapeError(f"actions must have shape {want}, got {tuple(action.shape)}")

@@ -17,7 +17,7 @@ from apcc_torch.lie import se3, so3
 from apcc_torch.model.abscissae import MaterialPoints
 from apcc_torch.model.kinematic_model import KinematicModel
 from apcc_torch.part import Part
-from apcc_torch.settings import OURS, Setting, Settings, aligned, resolved, setting
+from apcc_torch.settings import MANY, OURS, Setting, Settings, aligned, resolved, setting
 
 LONG_AGO = 1e9
 """s since the last reading of a sensor that was never read."""
@@ -52,7 +52,7 @@ class PoseFilterSettings(Settings):
     follow: Setting = setting(
         0.8, "", OURS, "the share of its commanded motion that the arm makes at once", rows="number", least=0
     )
-    delay: int = setting(0, "", OURS, "periods by which readings are late", least=0)
+    delay: int = setting(0, "", OURS, "periods by which readings are late", least=0, most=MANY)
 
 
 class PoseFilter(Part):

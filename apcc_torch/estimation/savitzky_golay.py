@@ -16,7 +16,7 @@ from torch import Tensor
 
 from apcc_torch.errors import ShapeError, ValueRangeError
 from apcc_torch.part import Part, refuse_parameter
-from apcc_torch.settings import OURS, Settings, resolved, setting
+from apcc_torch.settings import MANY, OURS, Settings, resolved, setting
 from apcc_torch.shapes import batch_shape, check_same, check_stamps, check_tensor, coarse_stamps
 
 
@@ -131,8 +131,10 @@ def polynomial_weights(
 class SavitzkyGolaySettings(Settings):
     """Settings of `SavitzkyGolay`."""
 
-    window: int | Tensor = setting(15, "samples", OURS, "N, the samples in the window", rows="number", least=1)
-    order: int = setting(2, "", OURS, "degree of the polynomial, less than the window", least=0)
+    window: int | Tensor = setting(
+        15, "samples", OURS, "N, the samples in the window", rows="number", least=1, most=MANY
+    )
+    order: int = setting(2, "", OURS, "degree of the polynomial, less than the window", least=0, most=20)
     derivative: int = setting(1, "", OURS, "which derivative, at most the order", least=0, key=False)
     period: float | None = setting(
         None, "s", OURS, "sampling period; null: the samples' own stamps", above=0, key=False

@@ -17,7 +17,7 @@ from apcc_torch.errors import ValueRangeError
 from apcc_torch.model.kinematic_model import Placed
 from apcc_torch.modes import holds
 from apcc_torch.part import Part, hold_rows
-from apcc_torch.settings import OURS, Settings, check_choice, resolved, setting
+from apcc_torch.settings import MANY, OURS, Settings, check_choice, resolved, setting
 from apcc_torch.shapes import check_finite, check_same, check_tensor
 
 TANGENTS = ("measured", "spline")
@@ -30,7 +30,7 @@ class SensorCurveSettings(Settings):
     tangents: str | None = setting(
         None, "", OURS, "measured, the sensors' axes; spline, from positions alone; null: as algorithm 2 sees them"
     )
-    samples: int = setting(8, "", OURS, "points of the curve between two sensors", least=1)
+    samples: int = setting(8, "", OURS, "points of the curve between two sensors", least=1, most=MANY)
 
     def check(self) -> None:
         """Raises where the tangents are unknown."""

@@ -18,7 +18,7 @@ from apcc_torch.model.abscissae import MaterialPoints, located
 from apcc_torch.model.kinematic_model import KinematicModel, Placed
 from apcc_torch.modes import holds
 from apcc_torch.part import Part, hold_rows
-from apcc_torch.settings import OURS, PAPER, Setting, Settings, aligned, resolved, setting
+from apcc_torch.settings import MANY, OURS, PAPER, Setting, Settings, aligned, resolved, setting
 from apcc_torch.shapes import batch_shape, check_finite, check_same, check_tensor
 
 MODES = ("position", "pose", "hierarchical")
@@ -39,7 +39,7 @@ class StateFeedbackSettings(Settings):
     angular_weight: Setting = setting(
         1.0, "m/rad", PAPER, "metres that one radian counts as; 0.1 fits positions far better", rows="number", above=0
     )
-    max_iterations: int = setting(7, "", PAPER, "largest number of steps, N", least=1)
+    max_iterations: int = setting(7, "", PAPER, "largest number of steps, N", least=1, most=MANY)
     min_iterations: int = setting(
         1, "", OURS, "steps taken even within the thresholds: slow motion is not quantised", least=0, key=False
     )

@@ -14,7 +14,7 @@ from torch.func import jacfwd
 from apcc_torch.errors import DataError
 from apcc_torch.identification.parameters import Parameters, Values
 from apcc_torch.identification.tendon_arm import Drive, TendonArm
-from apcc_torch.settings import OURS, Settings, setting
+from apcc_torch.settings import MANY, OURS, Settings, setting
 
 _ROBUST = 3.0
 """Residuals beyond so many times their size are weighed down (Huber)."""
@@ -24,8 +24,8 @@ _ROBUST = 3.0
 class FitSettings(Settings):
     """How parameters are fitted."""
 
-    steps: int = setting(25, "", OURS, "most steps a round", least=1)
-    rounds: int = setting(3, "", OURS, "how often the size of the residuals is estimated", least=1)
+    steps: int = setting(25, "", OURS, "most steps a round", least=1, most=MANY)
+    rounds: int = setting(3, "", OURS, "how often the size of the residuals is estimated", least=1, most=MANY)
 
 
 class Fit(NamedTuple):

@@ -40,7 +40,7 @@ class RecordingSettings(Settings):
     def check(self) -> None:
         """Raises ConfigError where a body has not three columns."""
         for columns in self.bodies:
-            if len(columns) != 3 or isinstance(columns, str):
+            if not isinstance(columns, list | tuple) or len(columns) != 3:
                 raise ConfigError(f"bodies must name three columns a body, got {columns!r}")
 
 

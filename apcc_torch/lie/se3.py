@@ -262,7 +262,7 @@ def right_jacobian(twist: Tensor) -> Tensor:
         >>> torch.allclose(se3.exp(x + dx), se3.exp(x) @ se3.exp(se3.right_jacobian(x) @ dx), rtol=0.0, atol=1e-10)
         True
     """
-    return left_jacobian(-twist)
+    return left_jacobian(-check_tensor("twist", twist, (6,)))
 
 
 @full_precision
@@ -293,4 +293,4 @@ def right_jacobian_inverse(twist: Tensor) -> Tensor:
         >>> torch.allclose(se3.right_jacobian_inverse(x) @ se3.right_jacobian(x), torch.eye(6), atol=1e-6)
         True
     """
-    return left_jacobian_inverse(-twist)
+    return left_jacobian_inverse(-check_tensor("twist", twist, (6,)))

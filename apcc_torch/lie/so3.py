@@ -238,7 +238,7 @@ def right_jacobian(w: Tensor) -> Tensor:
         >>> torch.allclose(so3.exp(w + dw), so3.exp(w) @ so3.exp(so3.right_jacobian(w) @ dw), rtol=0.0, atol=1e-11)
         True
     """
-    return left_jacobian(-w)
+    return left_jacobian(-check_tensor("w", w, (3,)))
 
 
 def left_jacobian_inverse(w: Tensor) -> Tensor:
@@ -268,4 +268,4 @@ def right_jacobian_inverse(w: Tensor) -> Tensor:
         >>> torch.allclose(so3.right_jacobian_inverse(w) @ so3.right_jacobian(w), torch.eye(3), atol=1e-6)
         True
     """
-    return left_jacobian_inverse(-w)
+    return left_jacobian_inverse(-check_tensor("w", w, (3,)))

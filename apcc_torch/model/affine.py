@@ -10,7 +10,7 @@ from torch import Tensor
 
 from apcc_torch.model.coordinates import BEND_X, BEND_Y, ELONGATION, Coordinate, Coordinates
 from apcc_torch.model.strain_backbone import Basis, StrainBackbone
-from apcc_torch.settings import OURS, Settings, resolved, setting
+from apcc_torch.settings import MANY, OURS, Settings, resolved, setting
 
 SLOPE_X = Coordinate("slope x", "rad", driven=False)
 SLOPE_Y = Coordinate("slope y", "rad", driven=False)
@@ -20,7 +20,9 @@ SLOPE_Y = Coordinate("slope y", "rad", driven=False)
 class AffineSettings(Settings):
     """Settings of `AffineBackbone`."""
 
-    rods: int = setting(4, "", OURS, "rods of constant strain a section; their error falls by its 4th power", least=1)
+    rods: int = setting(
+        4, "", OURS, "rods of constant strain a section; their error falls by its 4th power", least=1, most=MANY
+    )
 
 
 class AffineBackbone(StrainBackbone):

@@ -12,9 +12,10 @@ import torch
 import yaml
 from torch import Tensor
 
+from apcc_torch.annotations import numbers_in
 from apcc_torch.conf_path import conf_path
 from apcc_torch.errors import ConfigError, DataError, ValueRangeError
-from apcc_torch.files import write_atomically
+from apcc_torch.files import read_text, write_atomically, yaml_in
 from apcc_torch.lie import so3
 from apcc_torch.model.arm_placement import Placement
 from apcc_torch.model.arm_tendons import Actuation, Tendons
@@ -26,7 +27,7 @@ from apcc_torch.model.table import Table, table
 from apcc_torch.model.tendons import TendonRouting, rack_routing
 from apcc_torch.modes import holds
 from apcc_torch.reading import deviations, read
-from apcc_torch.settings import OURS, PAPER, Setting, Settings, aligned, did_you_mean, setting
+from apcc_torch.settings import OURS, PAPER, TURN, Setting, Settings, aligned, did_you_mean, setting
 from apcc_torch.spread import Numbers, spread
 
 STANDING = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
@@ -52,12 +53,14 @@ class Arm(Settings):
     """
 
     name: str = setting("arm", "", OURS, "what tables and figures call it; in a file without one, the file's name")
-    lengths: Lengths = setting(unit="m", source=PAPER, meaning="rest lengths of the sections", rows="sections", above=0)
+    lengths: Lengths = setting(
+        unit="m", source=PAPER, meaning="rest lengths of the sections", rows="sections", above=0, most=30
+    )
     sensors: Lengths | None = setting(
-        None, "m", PAPER, "abscissae of the sensors; null: the sections' ends", rows="sections", least=0
+        None, "m", PAPER, "abscissae of the sensors; null: the sections' ends", rows="sections", above=0
     )
     true_sensors: Lengths | None = setting(
-        None, "m", OURS, "where a plant's sensors really are; null: as believed", rows="sections", least=0
+        None, "m", OURS, "where a plant's sensors really are; null: as believed", rows="sections", above=0
     )
     mounts: Table | None = setting(
         None, "m", OURS, "from the backbone to each sensed body, (x, y, z) in the axes there; null: none"
@@ -69,9 +72,13 @@ class Arm(Settings):
     racks: Lengths | None = setting(
         None, "m", PAPER, "abscissae of the tendon racks; null: the sections' ends", above=0
     )
-    tendon_offset: float = setting(0.027, "m", PAPER, "distance of the tendons from the backbone", above=0)
-    tendons_per_rack: int = setting(3, "", PAPER, "tendons of a rack, evenly spaced around the backbone", least=1)
-    rack_twist: float = setting(pi / 6.0, "rad", PAPER, "turn of each rack against the one before")
+    tendon_offset: float = setting(0.027, "m", PAPER, "distance of the tendons from the backbone", above=0, most=30)
+    tendons_per_rack: int = setting(
+        3, "", PAPER, "tendons of a rack, evenly spaced around the backbone", least=1, most=100
+    )
+    rack_twist: float = setting(
+        pi / 6.0, "rad", PAPER, "turn of each rack against the one before", least=-TURN, most=TURN
+    )
     layout: str = setting(
         "coupled",
         "",
@@ -135,6 +142,12 @@ class Arm(Settings):
                 spread(name, getattr(self, name), n_b)
         self.tendons.check_on(n_b, self._n_racked)
         self.actuation.check_on(self.n_tendons)
+        for name, offset in {"tendon_offset": self.tendon_offset, "tendons.offsets": self.tendons.offsets}.items():
+            for number in numbers_in(offset):
+                if not holds(number < end):
+                    raise ValueRangeError(
+                        f"{name} must be less than the arm's length of {float(end.min()):.4g} m, got {number} m"
+                    )
         table("rest_bend", self.rest_bend, n_b, 2)
         table("mounts", self.mounts, self.sensor_places().shape[-1], 3)
 
@@ -238,9 +251,9 @@ class Arm(Settings):
         """
         path = _file_of(path)
         try:
-            values = yaml.safe_load(path.read_text(encoding="utf-8"))
-        except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-            raise DataError(f"{path}: cannot be read as an arm's file: {str(error).splitlines()[0]}") from error
+            values = yaml_in(read_text(path), path.name)
+        except DataError as error:
+            raise DataError(f"{path}: cannot be read as an arm's file: {error}") from error
         if not isinstance(values, dict):
             raise DataError(f"{path}: is no arm's file: it must hold keys such as lengths")
         try:

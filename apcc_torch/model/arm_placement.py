@@ -26,11 +26,11 @@ class Placement(Settings):
     gravity: tuple[float, ...] = setting(_DOWN, "m/s^2", OURS, "acceleration of gravity in the recording's frame")
 
     def check(self) -> None:
-        """Raises ConfigError where one of them is not three finite numbers."""
+        """Raises ConfigError where one of them is not three numbers."""
         for name in ("position", "rotation", "gravity"):
             value = getattr(self, name)
-            if value is not None and not (len(value) == 3 and all(map(math.isfinite, value))):
-                raise ConfigError(f"{name} must be three finite numbers, got {list(value)}")
+            if value is not None and len(value) != 3:
+                raise ConfigError(f"{name} must be three numbers, got {list(value)}")
 
     @property
     def acceleration(self) -> float:

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from apcc_torch.errors import ConfigError
 from apcc_torch.model.tendons import TendonRouting
-from apcc_torch.settings import OURS, Settings, setting
+from apcc_torch.settings import OURS, TURN, Settings, setting
 from apcc_torch.spread import Numbers, spread
 
 
@@ -18,10 +18,15 @@ class Tendons(Settings):
     """Where each tendon runs, as far as tendons are not spaced evenly on racks."""
 
     angles: tuple[float, ...] | None = setting(
-        None, "rad", OURS, "of each around the backbone, from the section's x axis; null: as on the racks"
+        None,
+        "rad",
+        OURS,
+        "of each around the backbone, from the section's x axis; null: as on the racks",
+        least=-TURN,
+        most=TURN,
     )
     offsets: Numbers | None = setting(
-        None, "m", OURS, "distance of each from the backbone; null: tendon_offset", above=0
+        None, "m", OURS, "distance of each from the backbone; null: tendon_offset", above=0, most=30
     )
     ends: tuple[int, ...] | None = setting(
         None, "", OURS, "section at whose tip each ends, from 1; null: as on the racks", least=1

@@ -199,6 +199,8 @@ class SoftArmDynamics(Part):
             payload: (...) point mass at the tip, kg.
         """
         n = 3 * self.n_sections
+        for name, value in {"q": q, "qdot": qdot}.items():
+            check_tensor(name, value, (n,))
         dims = len(self._batch(payload, q=(q, 1), qdot=(qdot, 1)))
         axes = torch.eye(n, dtype=q.dtype, device=q.device)
         axes = torch.cat((axes, -axes)).view(2 * n, *[1] * dims, n)
@@ -289,8 +291,8 @@ class SoftArmDynamics(Part):
         return generalized_force(bend, shape, forces, self.before, None if carried is None else -carried)
 
     def _batch(self, payload: Payload, **tensors: tuple[Tensor, int]) -> torch.Size:
-        if isinstance(payload, Tensor):
-            tensors = tensors | {"payload": (payload, 0)}
+        if isinstance(payload, bool) or not isinstance(payload, int | float | None):
+            tensors = tensors | {"payload": (check_tensor("payload", payload, ()), 0)}
         return batch_shape(parameters=(self.batch_marker, 0), **tensors)
 
     def _state(

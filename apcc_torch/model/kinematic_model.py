@@ -151,8 +151,8 @@ class KinematicModel(Part, ABC):
         self.check(q, L0)
         check_tensor("X_tilde", X_tilde, (None,))
         check_same(q=q, X_tilde=X_tilde)
-        if j.dtype != torch.int64:
-            raise DtypeError(f"j must be torch.int64, got {j.dtype}")
+        if not isinstance(j, Tensor) or j.dtype != torch.int64:
+            raise DtypeError(f"j must be torch.int64, got {getattr(j, 'dtype', type(j).__name__)}")
         if j.shape[-1:] != X_tilde.shape[-1:]:
             raise ShapeError(f"j must have shape (..., {X_tilde.shape[-1]}) as X_tilde has, got {tuple(j.shape)}")
         return batch_shape(q=(q, 1), L0=(L0, 1), X_tilde=(X_tilde, 1), j=(j, 1))

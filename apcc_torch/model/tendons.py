@@ -107,7 +107,7 @@ class TendonRouting(Part):
             q: (..., 3 n_b) rad, rad, m.
             pi_hat: (..., n_b) section lengths, m.
         """
-        check_tensor("q", q, (3 * pi_hat.shape[-1],))
+        check_tensor("q", q, (3 * check_tensor("pi_hat", pi_hat, (None,)).shape[-1],))
         check_same(q=q, pi_hat=pi_hat)
         # Eq. (49)
         return (self.matrix(pi_hat).mT @ q.unsqueeze(-1)).squeeze(-1)
@@ -120,6 +120,7 @@ class TendonRouting(Part):
             pi_hat: (..., n_b) section lengths, m.
         """
         check_tensor("u", u, (self.n_tendons,))
+        check_tensor("pi_hat", pi_hat, (None,))
         check_same(u=u, pi_hat=pi_hat)
         return (self.matrix(pi_hat) @ u.unsqueeze(-1)).squeeze(-1)
 

@@ -118,5 +118,7 @@ def _checksum(library: Path) -> Path:
 
 
 def _unkept(error: OSError) -> CompileError:
+    if isinstance(error.__cause__, OSError):
+        error = error.__cause__  # a `WriteError` names the file as well
     why = "it is no folder" if isinstance(error, FileExistsError | NotADirectoryError) else error.strerror or error
     return CompileError(f"machine code cannot be kept in {cache_folder()}: {why}; name another folder in APCC_CACHE")

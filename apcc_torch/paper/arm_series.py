@@ -48,6 +48,16 @@ def run(cfg: DictConfig, folder: Path) -> tuple[Outcome, dict[str, float]]:
     return realtime.run(settings, folder)
 
 
+def planned(cfg: DictConfig) -> list[RealtimeSettings]:
+    """The settings of every run of a series, with their own above the series'; of one run its own.
+
+    Raises:
+        ConfigError, ValueRangeError: A setting has no meaning.
+    """
+    settings = typed(cfg, RealtimeSettings)
+    return [typed(_changed(cfg, changes), RealtimeSettings) for changes in settings.series.runs.values()] or [settings]
+
+
 def series(cfg: DictConfig, settings: RealtimeSettings, folder: Path) -> tuple[Outcome, dict[str, float]]:
     """Every run in a folder of its own, and then the study of those that came to their end."""
     s = settings.series

@@ -14,6 +14,7 @@ from typing import TypeVar
 
 from tqdm import tqdm
 
+from apcc_torch.composition.arguments import Arguments
 from apcc_torch.errors import DataError, in_a_line, one_sentence
 from apcc_torch.experiments.redrawing import draw_anew
 from apcc_torch.files import write_atomically
@@ -21,7 +22,7 @@ from apcc_torch.report import pictures
 from apcc_torch.report.collect import collect
 from apcc_torch.report.page.html import Page
 from apcc_torch.report.pictures import Picture
-from apcc_torch.report.ranking import HIGHER_IS_BETTER, choose_metric, ranked, remarks, summary
+from apcc_torch.report.ranking import HIGHER_IS_BETTER, choose_metric, ranked, remarks, summary, without_effect
 from apcc_torch.report.run_record import COMPLETE, Run
 from apcc_torch.report.run_table import RunTable, differing, has_parquet, line, tidy, write_csv, write_parquet
 from apcc_torch.report.style import failures_told
@@ -40,7 +41,7 @@ A run that failed, was killed or cannot be read is listed with why. Benchmark fo
 own table.
 
 examples:
-  python -m apcc_torch.simulate -m experiment=kinematic velocity_filter.window=5,15,45 adaptation.gain_scale=0.1,0.3,1
+  python -m apcc_torch.simulate -m experiment=kinematic controller.null_gain=0.5,1,2 adaptation.gain_scale=0.1,0.3,1
   python -m apcc_torch.report runs/sweep/DATE                          that sweep, best shape error first
   python -m apcc_torch.report runs/sweep/* --out all                   every sweep in one table, written into all/
   python -m apcc_torch.report runs/sweep/DATE --metric psi_mean_cm     ranked by another metric
@@ -142,7 +143,7 @@ def warn(text: str) -> None:
 
 def arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     """The command line."""
-    parser = argparse.ArgumentParser(
+    parser = Arguments(
         prog="python -m apcc_torch.report",
         description="Collects runs into one table, ranks them, and writes a page to explore them.",
         epilog=MANUAL,
@@ -201,7 +202,8 @@ def report(given: argparse.Namespace) -> list[Path]:
         shown_by_row = illustrate_all(runs, ranked(table, metric, descending), given.figures, given.films, given.draw)
         folders = [row for row, run in enumerate(runs) if run.folder is not None and run.status == COMPLETE]
         title = given.title or default_title(runs, table)
-        page = Page(title, table, metric, descending, shown_by_row, folders, footer(runs))
+        foot = f"{without_effect(table)} {footer(runs)}".strip()
+        page = Page(title, table, metric, descending, shown_by_row, folders, foot)
         with writing_to(out):
             written.append(write_atomically(out / "report.html", page.html()))
     return written

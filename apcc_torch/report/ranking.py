@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from apcc_torch.errors import ValueRangeError
 from apcc_torch.report.run_record import BROKEN, COMPLETE, FAILED, PRUNED, UNFINISHED
 from apcc_torch.report.run_table import METRIC, WALL, Column, RunTable, differing
+from apcc_torch.report.settings import comparable
 
 HEADLINES = (
     "shape_error_mean_mm",
@@ -132,7 +133,34 @@ def summary(table: RunTable, metric: str, top: int = 10, descending: bool = Fals
         body.insert(-1, f"({len(order) - len(shown)} more)")
     way = "largest" if descending else "smallest"
     head = f"{len(order)} complete of {len(table)} runs, by {metric}, {way} first"
-    return "\n".join([head, "", *body, *remarks(table)])
+    return "\n".join([head, "", *body, *([f"\n{idle}"] if (idle := without_effect(table)) else []), *remarks(table)])
+
+
+def without_effect(table: RunTable) -> str:
+    """A sentence that names the swept keys which change no metric of the complete runs; "" where each changes one."""
+    swept, metrics = differing(table), [column for column in table.of_kind(METRIC) if column.name != WALL]
+    complete = [k for k, status in enumerate(table.column("status").cells) if status == COMPLETE]
+    idle = [column.name for column in swept if metrics and _is_idle(column, swept, metrics, complete)]
+    if not idle:
+        return ""
+    what = f"{', '.join(idle)} {'makes' if len(idle) == 1 else 'each make'} no difference"
+    return f"{what}: runs that differ in nothing else have the same metrics."
+
+
+def _is_idle(key: Column, swept: Sequence[Column], metrics: Sequence[Column], rows: Sequence[int]) -> bool:
+    """Whether there are runs that differ in a key alone, and all of them have the same metrics."""
+    alike: dict[tuple[object, ...], list[int]] = {}
+    for k in rows:
+        alike.setdefault(tuple(comparable(other.cells[k]) for other in swept if other is not key), []).append(k)
+    pairs = [(group[0], k) for group in alike.values() for k in group if key.cells[k] != key.cells[group[0]]]
+    return bool(pairs) and all(_same(column.cells[a], column.cells[b]) for a, b in pairs for column in metrics)
+
+
+def _same(a: object, b: object) -> bool:
+    if isinstance(a, int | float) and isinstance(b, int | float):
+        # Rows of one batch and runs of their own differ in their last digits.
+        return math.isclose(a, b, rel_tol=1e-9) or (math.isnan(a) and math.isnan(b))
+    return a == b
 
 
 def remarks(table: RunTable) -> list[str]:

@@ -19,7 +19,7 @@ from apcc_torch.model.integrators import Actuation, ArmState, guard, semi_implic
 from apcc_torch.model.tendons import TendonRouting
 from apcc_torch.native.compiled import Step, compiled
 from apcc_torch.part import Part, hold_rows, refuse_parameter
-from apcc_torch.settings import OURS, PAPER, Setting, Settings, aligned, resolved, setting
+from apcc_torch.settings import MANY, OURS, PAPER, Setting, Settings, aligned, resolved, setting
 from apcc_torch.simulation.rollout import rollout
 
 
@@ -48,8 +48,8 @@ class PlantSettings(Settings):
         None, "", PAPER, "slack and dry friction between motors and arm; null: the arm feels the motors' forces"
     )
     arm: ArmChanges = setting(factory=ArmChanges, meaning="what differs on the true arm from what is believed of it")
-    refine: int = setting(2, "", PAPER, "sections of the true arm in one of the model's", least=1)
-    substeps: int = setting(2, "", OURS, "plant steps in one control period", least=1)
+    refine: int = setting(2, "", PAPER, "sections of the true arm in one of the model's", least=1, most=100)
+    substeps: int = setting(2, "", OURS, "plant steps in one control period", least=1, most=MANY)
     settle: float = setting(3.0, "s", OURS, "at rest under gravity before the clock starts", least=0)
     bound: float = setting(
         1e3, "rad, m, 1/s", OURS, "of a coordinate or its rate, beyond which a row has diverged", above=0, key=False

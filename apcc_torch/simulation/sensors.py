@@ -10,7 +10,7 @@ from torch import Tensor
 
 from apcc_torch.lie import se3
 from apcc_torch.part import Part
-from apcc_torch.settings import OURS, Setting, Settings, aligned, is_on, resolved, setting
+from apcc_torch.settings import MANY, OURS, Setting, Settings, aligned, is_on, resolved, setting
 from apcc_torch.shapes import check_tensor
 
 
@@ -37,7 +37,7 @@ class PoseSensorsSettings(Settings):
     angular_noise: Setting = setting(
         0.0, "rad", OURS, "standard deviation of each rotation-vector component", rows="number", least=0, apart=True
     )
-    delay: int = setting(0, "", OURS, "control periods by which a reading is late", least=0)
+    delay: int = setting(0, "", OURS, "control periods by which a reading is late", least=0, most=MANY)
     dropout: Setting = setting(
         0.0, "", OURS, "chance that a sensor is missing in a reading", rows="number", least=0, below=1, apart=True
     )

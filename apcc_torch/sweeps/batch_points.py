@@ -20,6 +20,7 @@ from omegaconf.errors import OmegaConfBaseException
 from apcc_torch.composition.run_settings import SimulateSettings
 from apcc_torch.composition.schema import sentence, values_of
 from apcc_torch.composition.stacking import Point
+from apcc_torch.composition.unread import check_given, of_a_simulation
 from apcc_torch.errors import ConfigError
 from apcc_torch.reading import read
 
@@ -108,6 +109,8 @@ def points_of(cfg: DictConfig, ours: Sequence[str], config_name: str, swept: Ite
                 bases[composed] = _Base(compose(config_name, [*ours, *composed]) if composed else cfg)
             config = bases[composed].changed([choice for choice in chosen if choice.plain])
         points.append(Point(index, {choice.key: choice.text for choice in chosen}, config))
+    given = [*ours, *(f"{choice.key}=" for axis in axes for choice in axis[:1])]
+    check_given(of_a_simulation, [point.config for point in points], given)
     return points
 
 

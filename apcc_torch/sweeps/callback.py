@@ -17,6 +17,9 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override
 from omegaconf import DictConfig, OmegaConf, open_dict, read_write
 
+from apcc_torch.composition.run_settings import SimulateSettings
+from apcc_torch.composition.schema import typed
+from apcc_torch.composition.unread import check_given, of_a_simulation
 from apcc_torch.conf_path import conf_path
 from apcc_torch.errors import ConfigError, one_sentence
 from apcc_torch.experiments.run import PRUNED, objective_in
@@ -86,6 +89,7 @@ def check_jobs(config: DictConfig) -> None:
     """Raises ConfigError or ValueRangeError where a job's settings have no meaning; a search draws its own."""
     overrides, swept = _sweeps(config)
     if config.hydra.sweeper.get("n_trials") is not None or any(key.startswith("hydra") for key in swept):
+        check_given(of_a_simulation, [typed(config, SimulateSettings)], [str(o.input_line) for o in overrides])
         return
     fixed = [o.input_line for o in overrides if o.get_key_element().lstrip("+~") not in swept]
     points_of(config, [str(line) for line in fixed], str(config.hydra.job.config_name), swept.values())

@@ -88,17 +88,17 @@ def test_controller_takes_its_settings() -> None:
 
 
 def test_grid_pairs_every_set_point_with_every_payload() -> None:
-    build = builder("experiment.setpoints=[[1,2,3],[4,5,6]]", "experiment.payloads=[0,0.25,0.5]")
+    build = builder("experiment.setpoints=[[0.1,0.2,0.3],[0.4,0.5,0.6]]", "experiment.payloads=[0,0.25,0.5]")
     points, payloads = build.grid()
     assert payloads.tolist() == [0.0, 0.25, 0.5] * 2
-    assert points.x_d.tolist() == [[1.0, 2.0, 3.0]] * 3 + [[4.0, 5.0, 6.0]] * 3
+    assert points.x_d.tolist() == [[0.1, 0.2, 0.3]] * 3 + [[0.4, 0.5, 0.6]] * 3
 
 
 def test_tuning_sees_half_of_the_set_points_and_is_judged_by_the_others() -> None:
-    points = [[float(k), 0.0, 0.0] for k in range(5)]
+    points = [[0.25 * k, 0.0, 0.0] for k in range(5)]
     for subset, indices in {"all": range(5), "training": (0, 2, 4), "held_out": (1, 3)}.items():
         chosen = builder(f"experiment.setpoints={points}", f"experiment.subset={subset}").setpoints()
-        assert chosen[:, 0].tolist() == list(indices)
+        assert chosen[:, 0].tolist() == [0.25 * k for k in indices]
 
 
 def test_plant_is_the_arm_described() -> None:

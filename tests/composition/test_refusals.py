@@ -80,8 +80,9 @@ def out_of_range(about: About, annotation: str) -> list[Any]:
     wrong += [] if about.least is None else [about.least - 1]
     wrong += [] if about.below is None else [about.below]
     wrong += [] if about.most is None else [about.most + 1]
-    if wrong and "int" not in annotation:
-        wrong += [float("inf"), float("nan")]
+    numbers = {"float", "int", "Setting", "Numbers", "Lengths"} & set(annotation.replace(" ", "").split("|"))
+    if (wrong or numbers) and "int" not in annotation:
+        wrong += [float("nan")] if about.infinite else [float("inf"), float("nan")]
     whole_numbers = "int" in annotation and "float" not in annotation
     numbers = [int(value) if whole_numbers else float(value) for value in wrong]
     lists = "Lengths" in annotation or annotation.startswith("tuple")

@@ -178,13 +178,15 @@ def test_an_unknown_key_of_a_group_is_named_with_what_may_be_meant(key: str, mea
 )
 def test_an_unknown_word_of_a_command_line_is_named_with_what_may_be_meant(word: str, said: str) -> None:
     with pytest.raises(ConfigError, match=said):
-        check_words(["experiment=kinematic", word], SimulateSettings)
+        check_words(["experiment=kinematic", word], SimulateSettings, "simulate")
 
 
 def test_other_words_are_hydras() -> None:
-    check_words(["-m", "hydra.run.dir=x", "hydra/launcher=basic", "sweep=window", "state=exact"], SimulateSettings)
-    check_words(["plant.pid.K_P=1", "adaptation.what=1", "integral.gain=1", "seed=1"], SimulateSettings)
-    check_words(["+more=1", "~sensors", "-cd", "own", "mine=1"], SimulateSettings)
+    check_words(
+        ["-m", "hydra.run.dir=x", "hydra/launcher=basic", "sweep=window", "state=exact"], SimulateSettings, "simulate"
+    )
+    check_words(["plant.pid.K_P=1", "adaptation.what=1", "integral.gain=1", "seed=1"], SimulateSettings, "simulate")
+    check_words(["+more=1", "~sensors", "-cd", "own", "mine=1"], SimulateSettings, "simulate")
 
 
 def test_what_is_added_and_read_by_nothing_is_named() -> None:

@@ -138,7 +138,7 @@ def test_refusals() -> None:
             AdaptiveLaw(3, **{"gamma": GAMMA, **settings})
 
     refused("regressor must be one of partial, estimator_aware", ConfigError, regressor="total")
-    refused("gamma must be positive definite", gamma=torch.tensor([1.0, 0.0, 1.0]))
+    refused("gamma must be positive and finite", gamma=torch.tensor([1.0, 0.0, 1.0]))
     refused("gamma must have shape", ShapeError, gamma=torch.ones(2))
     for name in ("normalisation", "dead_zone", "rate", "gain_scale"):
         for value in (-1.0, float("nan"), float("inf")):

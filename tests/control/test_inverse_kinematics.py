@@ -216,7 +216,7 @@ def test_gains_differ_by_row() -> None:
 
 
 def test_refusals() -> None:
-    with pytest.raises(ValueRangeError, match="K must be positive definite"):
+    with pytest.raises(ValueRangeError, match="K must be positive and finite"):
         InverseKinematics(K=-1.0)
     for name in ("damping", "null_gain", "epsilon", "bend_rate", "length_rate"):
         for value in (-1.0, float("nan"), float("inf")):

@@ -207,13 +207,16 @@ def test_single_precision_follows_double(dynamics: str) -> None:
         ({"dtype": "float16"}, ConfigError, "dtype must be one of float64, float32, got 'float16'"),
         ({"autoreset_mode": "LATER"}, ConfigError, "autoreset_mode must be one of NEXT_STEP"),
         ({"control_rate": 0.0}, ValueRangeError, "control_rate must be positive and finite, got 0.0"),
-        ({"plant": {"substeps": 0}}, ValueRangeError, r"plant\.substeps must be at least 1 and finite, got 0"),
+        ({"plant": {"substeps": 0}}, ValueRangeError, r"plant\.substeps must be in \[1, 10000\], got 0"),
         ({"plant": {"substep": 2}}, ConfigError, r"plant\.substep is no setting; did you mean substeps\?"),
         ({"control": {"gama": 2.0}}, ConfigError, "a controller has no setting 'gama'; did you mean gamma\\?"),
         ({"control": {"adaptation": None}, "action": "adaptation"}, ConfigError, "adaptation must be an AdaptiveLaw"),
         ({"payloads": (0.0, 1.0)}, ConfigError, "ReachEnv has no setting 'payloads'; did you mean payload\\?"),
         ({"bend_rate": torch.tensor(1.0)}, ConfigError, "bend_rate must be a number"),
-        ({"num_envs": 0}, ValueRangeError, "num_envs must be at least 1, got 0"),
+        ({"num_envs": 0}, ValueRangeError, "num_envs must be at least 1 and finite, got 0"),
+        ({"num_envs": -1}, ValueRangeError, "num_envs must be at least 1 and finite, got -1"),
+        ({"num_envs": 1.5}, ConfigError, r"num_envs must be a whole number, got 1\.5"),
+        ({"num_envs": True}, ConfigError, "num_envs must be a whole number, got True"),
         ({"render_mode": "ansi"}, ConfigError, "render_mode must be one of rgb_array, got 'ansi'"),
     ],
 )
@@ -229,6 +232,9 @@ def test_bad_calls() -> None:
     envs.reset(seed=0)
     with pytest.raises(ShapeError, match=r"actions must have shape \(6, 9\), got \(6, 3\)"):
         envs.step(torch.zeros(6, 3))
+    for none in (None, "forward", {"a": 1}, torch.ones(6, 9).bool()):
+        with pytest.raises(DtypeError, match="actions must be numbers, got"):
+            envs.step(none)  # type: ignore[arg-type]
     for mask, error in (
         (torch.ones(6), DtypeError),
         (torch.ones(5).bool(), ShapeError),

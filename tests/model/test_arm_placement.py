@@ -36,7 +36,7 @@ def test_a_base_is_placed_by_word_or_by_rotation() -> None:
 
 
 @pytest.mark.parametrize("name", ["position", "rotation", "gravity"])
-@pytest.mark.parametrize("value", [(0.0, 0.0), (0.0, 0.0, float("nan"))])
+@pytest.mark.parametrize("value", [(0.0, 0.0), (0.0, 0.0, 1.0, 0.0)])
 def test_three_numbers_are_asked_for(name: str, value: tuple[float, ...]) -> None:
-    with pytest.raises(ConfigError, match=f"{name} must be three finite numbers"):
+    with pytest.raises(ConfigError, match=f"{name} must be three numbers"):
         Placement(**{name: value})

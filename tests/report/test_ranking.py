@@ -3,13 +3,22 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from apcc_torch.errors import ValueRangeError
-from apcc_torch.report.ranking import choose_metric, headline_columns, lines, number_text, ranked, summary
+from apcc_torch.report.ranking import (
+    choose_metric,
+    headline_columns,
+    lines,
+    number_text,
+    ranked,
+    summary,
+    without_effect,
+)
 from apcc_torch.report.run_record import Run
 from apcc_torch.report.run_table import RunTable, tidy
 
@@ -96,3 +105,28 @@ def test_the_summary_names_the_best_the_worst_and_what_failed() -> None:
     assert ranks == [["1", "r1", "1"], ["2", "r2", "2"], ["5", "r4", "4"]]
     assert "(2 more)" in rows and rows[-1] == "  x: failed, gain is too high"
     assert "largest first" in summary(table_of([1.0]), "shape_error_mean_mm", descending=True)
+
+
+def swept(metric: Callable[[int, int], float]) -> RunTable:
+    """Runs over a gain and a window, of which one failed."""
+    done = [
+        Run(
+            f"r{a}{b}", "complete", {"a.gain": a, "b.window": b}, metrics={"psi_mean_cm": metric(a, b), "wall_s": a + b}
+        )
+        for a in (1, 2)
+        for b in (5, 9)
+    ]
+    return tidy([*done, Run("x", "failed", {"a.gain": 3, "b.window": 5})])
+
+
+def test_a_swept_key_that_changes_no_metric_is_named() -> None:
+    said = "b.window makes no difference: runs that differ in nothing else have the same metrics."
+    idle = swept(lambda a, b: 1.0 / a)
+    assert without_effect(idle) == said and said in summary(idle, "psi_mean_cm").splitlines()
+    assert without_effect(swept(lambda a, b: math.nan)).startswith("a.gain, b.window each make no difference")
+    assert without_effect(swept(lambda a, b: a + b)) == "" and "difference" not in summary(
+        swept(lambda a, b: a + b), "psi_mean_cm"
+    )
+    # A window that acts with one gain only does act.
+    assert without_effect(swept(lambda a, b: b if a == 1 else 0.0)) == ""
+    assert without_effect(table_of([1.0])) == ""

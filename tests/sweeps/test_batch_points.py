@@ -18,7 +18,7 @@ from composed import composed
 
 
 def points(batch: str | list[str], *overrides: str) -> list[Point]:
-    given = ["experiment=kinematic", *overrides]
+    given = ["experiment=kinematic", "controller.velocity=measured", *overrides]
     with initialize_config_dir(conf_path(), version_base="1.3"):
         cfg = compose("simulate", given)
         OmegaConf.update(cfg, "batch", batch)
@@ -41,22 +41,26 @@ def jobs(*swept: str) -> list[list[str]]:
         ["adaptation=kinematic,partial", "controller.K=1,2", "state=feedback,exact"],
         ["arm=arm_1,arm_2", "bounds.lower=null,[0.1,0.1,0.1]", "seed=shuffle(range(3))", "figures=true,false"],
         ["feedback=position,pose", "feedback.angular_weight=0.1,0.2", "++adaptation.rate=0.1,0.2"],
-        ["plant.pid.K_P=500,700", "plant.arm.mass=1,1.2", "integral.gain=1,2", "residual=none,bank"],
+        [
+            "feedback.max_iterations=5,7",
+            "arm.placement.rotation=[3.1,0,0],[3,0,0]",
+            "integral.gain=1,2",
+            "residual=none,bank",
+        ],
         ["residual=bank,curve", "adaptation=none,normalised", "bounds={lower:0.5,upper:2},{upper:1.5}"],
     ],
 )
 def test_a_point_is_the_job_of_its_number(swept: list[str]) -> None:
+    base = ("experiment=kinematic", "controller.velocity=measured", "controller.rate=50")
     shuffled = any("shuffle" in entry for entry in swept)
     found = points(swept, "controller.rate=50")
     expected = jobs(*swept)
     assert [point.number for point in found] == list(range(len(expected)))
     if shuffled:
-        assert {str(point.config) for point in found} == {
-            str(composed("experiment=kinematic", "controller.rate=50", *job)) for job in expected
-        }
+        assert {str(point.config) for point in found} == {str(composed(*base, *job)) for job in expected}
         return
     for point, job in zip(found, expected, strict=True):
-        assert point.config == composed("experiment=kinematic", "controller.rate=50", *job)
+        assert point.config == composed(*base, *job)
         assert list(point.settings) == [entry.partition("=")[0].lstrip("+") for entry in job]
 
 

@@ -89,7 +89,7 @@ def test_there_must_be_something_to_resume(tmp_path: Path) -> None:
     ("word", "said"),
     [
         ("velocity_filter.window=5,wide", "velocity_filter.window must be a whole number, got 'wide'"),
-        ("velocity_filter.window=5,0", "velocity_filter.window must be at least 1"),
+        ("velocity_filter.window=5,0", "velocity_filter.window must be in"),
         ("velocity_filter.windw=5,15", "velocity_filter.windw is no setting; did you mean window?"),
         ("adaptation=none,normalised adaptation.rate=1,2", "adaptation.rate is read by nothing"),
     ],

@@ -108,8 +108,10 @@ class DynamixelSettings(Settings):
     zero_tolerance: float = setting(
         2e-3, "m", OURS, "a tendon may be out of its range by this when torque goes on", above=0, most=0.05
     )
-    model_number: int = setting(1030, "", PAPER, "of the motors: XM430-W210")
-    minimum_firmware: int = setting(38, "", OURS, "the first with the bus watchdog as it is used here")
+    model_number: int = setting(1030, "", PAPER, "of the motors: XM430-W210", least=0, most=65535)
+    minimum_firmware: int = setting(
+        38, "", OURS, "the first with the bus watchdog as it is used here", least=0, most=255
+    )
     release_torqued: bool = setting(
         False, "", OURS, "connecting lets go of motors that hold torque; false refuses them"
     )

@@ -1,0 +1,121 @@
+"""Keys that nothing in a run reads: whoever gives one means something by it, and is told instead of being ignored."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from typing import TypeVar
+
+from apcc_torch.composition.run_settings import RunSettings, SimulateSettings
+from apcc_torch.errors import ConfigError
+from apcc_torch.part import part_of
+from apcc_torch.settings import Settings
+
+Run = TypeVar("Run", bound=Settings)
+Unread = Iterator[tuple[str, str]]
+"""Keys, or groups of them, and why nothing reads them; several are parted by blanks."""
+
+ONE_TARGET = "experiment.setpoints experiment.subset"
+SINE = "experiment.r_0 experiment.A experiment.omega"
+STARTS = "experiment.start_errors experiment.start_error"
+BODY = (
+    "arm.racks arm.tendon_offset arm.tendons_per_rack arm.rack_twist arm.layout arm.tendons arm.mass arm.masses "
+    "arm.axial_stiffness arm.bending_stiffness arm.stiffness_reference arm.stiffness_rule arm.axial_rigidity "
+    "arm.bending_rigidity arm.damping_ratio arm.true_sensors"
+)
+"""What forces act on and tendons pull: none of it is in kinematics."""
+
+
+def check_given(unread: Callable[[Run], Unread], runs: Sequence[Run], words: Iterable[str]) -> None:
+    """Raises ConfigError where a word of a command line sets a key that none of its runs reads.
+
+    Args:
+        unread: What a run does not read.
+        runs: The settings of each run: of one, or of a sweep's, in some of which a key may idle.
+        words: The command line, KEY=VALUE; others are passed over.
+    """
+    reasons = [{key: why for keys, why in unread(run) for key in keys.split()} for run in runs]
+    for word in words:
+        key = re.match(r"\+{0,2}([\w.]+)(@[\w.]+)?=", word)
+        idle = [] if key is None else [_why(key[1], told) for told in reasons]
+        if idle and all(idle):
+            raise ConfigError(f"{key[1]} is read by nothing: {idle[0]}")  # type: ignore[index]
+
+
+def _why(key: str, told: dict[str, str]) -> str | None:
+    parts = key.split(".")
+    return next((told[head] for n in range(1, len(parts) + 1) if (head := ".".join(parts[:n])) in told), None)
+
+
+def of_a_run(c: RunSettings, velocity: bool = False) -> Unread:
+    """What neither a simulation nor a run in real time reads; `velocity`: whether more than the laws need it."""
+    e, arm = c.experiment, c.arm
+    laws = [part_of(law) for law in (c.adaptation, c.residual) if law is not None]
+    why = None
+    if not c.controller.adaptive:
+        why = "controller.adaptive is false"
+        yield "adaptation residual bounds", why
+    elif not laws:
+        why = "there is no law of the rest lengths, adaptation and residual are none"
+        yield "bounds", why
+    elif c.controller.velocity == "commanded":
+        why = "controller.velocity is commanded, and it filters the measured one"
+    elif not any(law.needs_velocity for law in laws):
+        why = f"{' and '.join(law.__name__ for law in laws)} needs no velocity"
+    if why is not None and not velocity:
+        yield "velocity_filter", why
+    if c.feedback.mode == "position":
+        yield "feedback.angular_weight feedback.angular_threshold", "feedback.mode is position"
+    for given, unread in {
+        "masses": "arm.mass",
+        "axial_rigidity": "arm.axial_stiffness",
+        "bending_rigidity": "arm.bending_stiffness",
+    }.items():
+        if getattr(arm, given) is not None:
+            yield unread, f"arm.{given} says it"
+    if arm.axial_rigidity is not None and arm.bending_rigidity is not None:
+        yield "arm.stiffness_reference arm.stiffness_rule", "arm.axial_rigidity and arm.bending_rigidity say it"
+    if arm.tendons.offsets is not None:
+        yield "arm.tendon_offset", "arm.tendons.offsets says it"
+    for on in ("arm", "plant.arm"):
+        yield f"{on}.actuation {on}.mounts {on}.rest_bend {on}.placement.position", "identification alone needs it"
+    if e.setpoints:
+        yield SINE, "experiment.setpoints are the targets"
+    elif e.kind != "kinematic":
+        yield "experiment.subset", "there are no experiment.setpoints"
+
+
+def of_a_simulation(c: SimulateSettings) -> Unread:
+    """What a simulation does not read."""
+    kind, e = c.experiment.kind, c.experiment
+    yield from of_a_run(c, velocity=kind == "dynamic" and c.dynamics_law is not None)
+    if kind == "kinematic":
+        alone = "experiment kinematic has no forces: its true arm follows the command, and its sensors tell the truth"
+        yield f"plant sensors dynamics_law experiment.payloads {BODY}", alone
+        yield ONE_TARGET, "experiment kinematic follows its sine"
+        if c.state == "exact":
+            yield (
+                "feedback residual velocity_filter pose_filter integral controller.velocity",
+                "state is exact: q is known",
+            )
+        if not e.start_errors:
+            yield "experiment.start_error", "experiment.start_errors is zero"
+    else:
+        yield STARTS, "experiment kinematic alone has more rows for them"
+        if c.state == "exact":
+            yield "state", "experiment kinematic alone can know q"
+    if kind == "replay":
+        moved = "experiment replay moves no arm"
+        yield f"plant sensors dynamics_law experiment.duration experiment.payloads {ONE_TARGET} {SINE} {BODY}", moved
+        yield "arm.lengths arm.sensors controller.rate", "experiment replay takes it from the recording"
+        if not c.controller.adaptive:
+            yield (
+                "controller.K controller.null_gain controller.velocity pose_filter integral",
+                "controller.adaptive is false",
+            )
+    else:
+        yield "replay data", f"experiment {e.name} replays no recording"
+    if c.prune.after is None:
+        yield "prune.above", "prune.after is null"
+    if c.batch is None:
+        yield "batch_kept batch_memory_mib batch_workers", "there is no batch, see --batch"

@@ -1,0 +1,53 @@
+"""What a command does not take it refuses in one sentence that says what may be meant, with exit code 2."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from apcc_torch import benchmark, identify, robot, robot_log, simulate
+from apcc_torch.report import __main__ as report
+
+
+@pytest.mark.parametrize(
+    ("main", "words", "said"),
+    [
+        (simulate.main, "experiment=kinematics", "experiment has no choice 'kinematics'; did you mean kinematic?"),
+        (simulate.main, "experiment=kinematic adaptation=baank", "'baank'; did you mean residual=bank?"),
+        (simulate.main, "experiment=kinematic arm=naminal", "arm has no choice 'naminal'; it has arm_1, arm_2, "),
+        (simulate.main, "experiment=kinematic feedback.mod=pose", "feedback.mod is no setting; did you mean mode?"),
+        (simulate.main, "experiment=kinematic controller.K=[1,", "'controller.K=[1,' cannot be read: "),
+        (simulate.main, "-cd {} experiment=kinematics", "did you mean kinematic?"),
+        (robot.main, "experiment=setpont", "experiment has no choice 'setpont'; did you mean setpoint?"),
+        (
+            robot.main,
+            "experiment=setpoint state=exact",
+            "state is no setting here, but one of python -m",
+        ),
+        (identify.main, "arm=ftdcr data=x", "arm has no choice 'ftdcr'; did you mean ftdcr_v6?"),
+        (benchmark.main, "grid=smal", "grid has no choice 'smal'; did you mean small?"),
+        (robot_log.main, "inf x", "there is no inf; did you mean info?"),
+        (robot_log.main, "replay x --alow-class y", "there is no argument --alow-class; did you mean --allow-class?"),
+        (report.main, "x --metrik y", "there is no argument --metrik; did you mean --metric?"),
+    ],
+)
+def test_what_is_mistyped_is_refused_in_a_sentence(
+    main: Callable[[], Any],
+    words: str,
+    said: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "argv", ["command", *words.format(tmp_path).split()])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    told = capsys.readouterr().err
+    assert ended.value.code == 2 and said in told and len(told.splitlines()) == 1, told
+    assert not list(tmp_path.iterdir()) and "HYDRA_FULL_ERROR" not in os.environ
