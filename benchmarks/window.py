@@ -6,6 +6,7 @@ and writes docs/images/window.png.
 
 from __future__ import annotations
 
+import argparse
 from pathlib import Path
 
 from matplotlib.figure import Figure
@@ -67,8 +68,12 @@ def drawn(found: Measured) -> Figure:
 
 
 if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    figure = Path(__file__).resolve().parents[1] / "docs" / "images" / "window.png"
+    parser.add_argument("--out", type=Path, default=figure, help="the figure's file")
+    given = parser.parse_args()
     table = measure()
     print("sensors  rate  N  " + "  ".join(PANELS))
     for (sensors, rate, window), row in table.items():
         print(f"{sensors:8} {rate:4} {window:3}  " + "  ".join(f"{row[name]:{len(name)}.3g}" for name in PANELS))
-    save_figure(drawn(table), Path(__file__).resolve().parents[1] / "docs" / "images" / "window.png")
+    save_figure(drawn(table), given.out)

@@ -67,8 +67,9 @@ def test_a_run_is_the_commands(tmp_path: Path) -> None:
 
 def test_an_arm_of_a_file(tmp_path: Path) -> None:
     Arm(name="mine", lengths=(0.2, 0.25), mass=0.4).save(tmp_path / "mine.yaml")
-    one = compose("experiment=kinematic", f"arm={tmp_path / 'mine.yaml'}", "arm.mass=0.5")
-    assert (one.settings.arm.lengths, one.settings.arm.mass, one.settings.arm.name) == ((0.2, 0.25), 0.5, "mine")
+    one = compose("experiment=kinematic", f"arm={tmp_path / 'mine.yaml'}", "arm.sensors=[0.25,0.45]")
+    assert (one.settings.arm.lengths, one.settings.arm.mass, one.settings.arm.name) == ((0.2, 0.25), 0.4, "mine")
+    assert one.settings.arm.sensors == (0.25, 0.45)
     with pytest.raises(DataError, match=r"none\.yaml"):
         compose("experiment=kinematic", f"arm={tmp_path / 'none.yaml'}")
 

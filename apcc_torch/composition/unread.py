@@ -90,12 +90,12 @@ def of_a_simulation(c: SimulateSettings) -> Unread:
     kind, e = c.experiment.kind, c.experiment
     yield from of_a_run(c, velocity=kind == "dynamic" and c.dynamics_law is not None)
     if kind == "kinematic":
-        alone = "experiment kinematic has no forces: its true arm follows the command, and its sensors tell the truth"
-        yield f"plant sensors dynamics_law experiment.payloads {BODY}", alone
+        alone = "experiment kinematic has no forces: its true arm follows the command"
+        yield f"plant dynamics_law experiment.payloads {BODY}", alone
         yield ONE_TARGET, "experiment kinematic follows its sine"
         if c.state == "exact":
             yield (
-                "feedback residual velocity_filter pose_filter integral controller.velocity",
+                "sensors feedback residual velocity_filter pose_filter integral controller.velocity",
                 "state is exact: q is known",
             )
         if not e.start_errors:

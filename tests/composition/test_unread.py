@@ -23,7 +23,11 @@ SHORT = (*QUICK, "experiment.setpoints=[[0.1,0.1,-0.5]]", "experiment.payloads=[
 @pytest.mark.parametrize(
     ("experiment", "words", "why"),
     [
-        ("kinematic", ("velocity_filter.window=25",), "controller.velocity is commanded"),
+        (
+            "kinematic",
+            ("controller.velocity=commanded", "velocity_filter.window=25"),
+            "controller.velocity is commanded",
+        ),
         ("dynamic_run_2", ("velocity_filter.window=25",), "ResidualLaw needs no velocity"),
         ("kinematic", ("controller.adaptive=false", "adaptation.gamma=3"), "controller.adaptive is false"),
         ("kinematic", ("plant.pid.K_P=3",), "experiment kinematic has no forces"),
@@ -52,9 +56,9 @@ def test_what_nothing_in_a_simulation_reads_is_refused_with_why(
 
 
 def test_compose_refuses_it_and_choices_of_groups_too() -> None:
-    with pytest.raises(ConfigError, match=r"^sensors is read by nothing: experiment kinematic has no forces"):
-        compose("experiment=kinematic", "sensors=mocap")
-    assert compose("experiment=kinematic", "controller.velocity=measured", "velocity_filter.window=9")
+    with pytest.raises(ConfigError, match=r"^sensors is read by nothing: state is exact"):
+        compose("experiment=kinematic", "state=exact", "sensors=mocap")
+    assert compose("experiment=kinematic", "sensors=mocap", "velocity_filter.window=9")
     assert compose("experiment=dynamic_run_2_composite", "velocity_filter.window=9"), "the feed-forward reads it"
 
 
@@ -68,7 +72,6 @@ def test_in_a_sweep_a_key_has_to_be_read_by_one_run() -> None:
 
 def test_what_is_refused_changes_nothing() -> None:
     idle = (
-        "velocity_filter.window=9",
         "arm.mass=2",
         "arm.tendon_offset=0.02",
         "plant.refine=3",
