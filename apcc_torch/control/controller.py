@@ -9,13 +9,14 @@ import torch
 from torch import Tensor, nn
 
 from apcc_torch.control.adaptation import total_regressor
-from apcc_torch.control.bounds import within
+from apcc_torch.control.bounds import RateBounds, within
 from apcc_torch.control.control_settings import ControllerSettings, ControlSettings
 from apcc_torch.control.inverse_kinematics import InverseKinematics
 from apcc_torch.control.length_bounds import LengthBounds
 from apcc_torch.control.length_law import LawStep, LengthLaw, Memory
 from apcc_torch.control.step_io import Command, ControllerState, Measurement, Target, check_step, measured_tip
 from apcc_torch.control.task_integral import TaskIntegral
+from apcc_torch.control.tendon_limits import SolverStatus
 from apcc_torch.estimation.pose_filter import PoseFilter, PoseFilterState
 from apcc_torch.estimation.savitzky_golay import SavitzkyGolay
 from apcc_torch.estimation.state_feedback import StateFeedback
@@ -201,8 +202,14 @@ class APCCController(Part):
         if self.integral is not None and integral is not None:
             integral = self.integral(integral, e_seen, dt)
         wanted = e if integral is None else e + integral
-        qdot, limits = self._solve(state, measurement, target, q_bar, chain, wanted, dt)
-        q_d = self._bounded(state.q_d + dt.unsqueeze(-1) * qdot)
+        bounds = self._rate_bounds(state.q_d, dt)
+        qdot, limits = self._solve(state, measurement, target, q_bar, chain, wanted, dt, bounds)
+        wished = state.q_d + dt.unsqueeze(-1) * qdot
+        q_d = self._bounded(wished)
+        if bounds is not None:
+            held = ((qdot == bounds.lower) | (qdot == bounds.upper) | (q_d != wished)).any(-1)
+            limits = torch.zeros_like(held, dtype=torch.int64) if limits is None else limits  # FREE
+            limits = torch.where(held & (limits == SolverStatus.FREE), int(SolverStatus.LIMITED), limits)
         # A step that is not finite is not taken: one bad measurement or target must not stay in the integral.
         q_d = torch.where(torch.isfinite(q_d), q_d, state.q_d)
         memories = state.memories
@@ -250,9 +257,12 @@ class APCCController(Part):
         chain: Placed,
         e: Tensor,
         dt: Tensor,
+        bounds: RateBounds | None,
     ) -> tuple[Tensor, Tensor | None]:
-        """qdot (..., n) of Eq. (16), with the model's chain at (q_bar, pi_hat), and `Command.limits`."""
-        return self.inverse_kinematics(chain.tip_jacobian(), e, target.xdot_d.expand_as(e), q_bar, dt), None
+        """qdot (..., n) of Eq. (16) within its bounds, with the model's chain at (q_bar, pi_hat), and the tendons'
+        `Command.limits`.
+        """
+        return self.inverse_kinematics(chain.tip_jacobian(), e, target.xdot_d.expand_as(e), q_bar, dt, bounds), None
 
     def _adapted(
         self, pi_hat: Tensor, dt: Tensor, step: LawStep, memories: tuple[Memory, ...]
@@ -287,6 +297,18 @@ class APCCController(Part):
     def tendons(self, q: Tensor, pi_hat: Tensor) -> Tensor | None:
         """Tendon length changes (..., n_a), m, that a configuration q (..., n) means; None without a routing."""
         return None if self.routing is None else self.backbone.tendon_lengths(self.routing, q, pi_hat)
+
+    def _rate_bounds(self, q_d: Tensor, dt: Tensor) -> RateBounds | None:
+        """Bounds on qdot that keep q_d (..., n) within its own for dt (...); None where it has none.
+
+        What is beyond its bound already, as a start may be, is not pushed farther out.
+        """
+        if self.bend_bound is None and self.elongation_bound is None:
+            return None
+        bend, elongation = (torch.inf if b is None else b for b in (self.bend_bound, self.elongation_bound))
+        bound = self.backbone.coordinates.per_unit(bend, elongation, q_d.shape[-1], q_d)
+        step = dt.unsqueeze(-1).clamp(min=1e-6)
+        return RateBounds(((-bound - q_d) / step).clamp(max=0.0), ((bound - q_d) / step).clamp(min=0.0))
 
     def _bounded(self, q_d: Tensor) -> Tensor:
         if self.bend_bound is None and self.elongation_bound is None:

@@ -55,7 +55,8 @@ class Command(NamedTuple):
     y: (..., n_a) tendon length changes B_hat^T q_d, Eq. (49), m; None without tendons.
     e: (..., 3) position error x_d - x, m.
     feedback: What algorithm 2 returned.
-    limits: (...) `SolverStatus` of the velocity where tendon limits are in force; None elsewhere.
+    limits: (...) `SolverStatus` where q_d has bounds or tendon limits are in force: LIMITED where a coordinate is held
+        at its bound, or the tendons' limits matter. None elsewhere.
     force: (..., n_a) feed-forward of the tendon loop, N; None without a model of the dynamics.
     """
 

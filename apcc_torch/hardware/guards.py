@@ -29,7 +29,10 @@ class GuardSettings(Settings):
     effort_dwell: float = setting(0.3, "s", OURS, "above the limit", least=0)
     effort_cap: float | None = setting(250.0, "N", OURS, "tension, above it at once", above=0)
     slack_effort: float | None = setting(
-        None, "N", OURS, "below it a tendon is slack; simulated tendons push as well, unless plant.transmission has slack"
+        None,
+        "N",
+        OURS,
+        "below it a tendon is slack; simulated tendons push as well, unless plant.transmission has slack",
     )
     slack_dwell: float = setting(0.5, "s", OURS, "below it", least=0)
     range_margin: float = setting(5e-3, "m", OURS, "by which a measured length may leave the commands' range", least=0)
