@@ -17,6 +17,7 @@ from apcc_torch.control.length_law import LawStep, LengthLaw, Memory
 from apcc_torch.control.step_io import Command, ControllerState, Measurement, Target, check_step, measured_tip
 from apcc_torch.control.task_integral import TaskIntegral
 from apcc_torch.control.tendon_limits import SolverStatus
+from apcc_torch.estimation.feedback import FeedbackStatus
 from apcc_torch.estimation.pose_filter import PoseFilter, PoseFilterState
 from apcc_torch.estimation.savitzky_golay import SavitzkyGolay
 from apcc_torch.estimation.state_feedback import StateFeedback
@@ -186,7 +187,7 @@ class APCCController(Part):
         dt = (measurement.time - state.time).clamp(0.0, self.integration_limit).to(pi_hat.dtype)
         expected, T = self._filtered(state, measurement, dt)
         inference = self.feedback.infer(state.q_bar, pi_hat, T, measurement.mask, measurement.angular_mask)
-        q_bar = inference.feedback.q_bar
+        q_bar, valid = inference.feedback.q_bar, inference.feedback.status != FeedbackStatus.INVALID
         filtered, qdot_bar = self.velocity_filter(state.velocity_filter, q_bar, measurement.time)
 
         # One chain serves the tip, its Jacobian and that Jacobian's rate.
@@ -194,16 +195,18 @@ class APCCController(Part):
             chain, dq_dpi = self.feedback.chain_and_sensitivity(inference, batch)
         else:
             chain, dq_dpi = self.backbone.chain(q_bar.expand(*batch, q_bar.shape[-1]), pi_hat), None
-        x, tip_seen = measured_tip(measurement, chain.tip)
+        x, tip_seen = measured_tip(measurement, chain.tip, valid)
         e = target.x_d - x
         # Where the tip is not measured e is the model's own: it is not integrated, and teaches nothing of the model.
-        e_seen = torch.where(tip_seen.unsqueeze(-1), e, 0.0)
+        e_seen = torch.where((tip_seen & valid).unsqueeze(-1), e, 0.0)
         integral = state.integral
         if self.integral is not None and integral is not None:
             integral = self.integral(integral, e_seen, dt)
         wanted = e if integral is None else e + integral
         bounds = self._rate_bounds(state.q_d, dt)
         qdot, limits = self._solve(state, measurement, target, q_bar, chain, wanted, dt, bounds)
+        # Where nothing is known of the arm it is told to stay.
+        qdot = torch.where(valid.unsqueeze(-1), qdot, 0.0)
         wished = state.q_d + dt.unsqueeze(-1) * qdot
         q_d = self._bounded(wished)
         if bounds is not None:
@@ -211,7 +214,7 @@ class APCCController(Part):
             limits = torch.zeros_like(held, dtype=torch.int64) if limits is None else limits  # FREE
             limits = torch.where(held & (limits == SolverStatus.FREE), int(SolverStatus.LIMITED), limits)
         # A step that is not finite is not taken: one bad measurement or target must not stay in the integral.
-        q_d = torch.where(torch.isfinite(q_d), q_d, state.q_d)
+        q_d = torch.where(torch.isfinite(q_d) & valid.unsqueeze(-1), q_d, state.q_d)
         memories = state.memories
         if self.adaptive and self.laws:
             rows = {
@@ -275,8 +278,10 @@ class APCCController(Part):
             later.append(memory)
         assert speed is not None  # there is a law
         moved = pi_hat + dt.unsqueeze(-1) * speed
-        # A step that is not finite is not taken: one bad measurement must not lose what was learnt.
-        moved = torch.where(torch.isfinite(moved), moved, pi_hat)
+        # A step that is not finite is not taken: one bad measurement must not lose what was learnt. Nor is one where
+        # there is no estimate to learn from.
+        valid = step.inference.feedback.status != FeedbackStatus.INVALID
+        moved = torch.where(torch.isfinite(moved) & valid.unsqueeze(-1), moved, pi_hat)
         if self.bounds is not None:
             metrics = (law.metric for law in self.laws)
             moved = self.bounds(moved, next((metric for metric in metrics if metric is not None), None))
