@@ -101,7 +101,7 @@ def unseen(fit: Fit, problem: Problem) -> Tensor:
 
     Of its singular values s each unseen one adds one to the sum of tau / (s^2 + tau), and the others next to nothing.
     """
-    J = (fit.body.detach() * problem.weights.detach()).flatten(-3, -2)
+    J = (fit.body * problem.weights).flatten(-3, -2)
     n = J.shape[-1]
     tau = max(UNSEEN, 32.0 * torch.finfo(J.dtype).eps)
     identity = torch.eye(n, dtype=J.dtype, device=J.device)
