@@ -91,8 +91,12 @@ class StateFeedback(Part):
     Each number may also be a tensor (...), one a row, except the numbers of iterations.
 
     Gradients of q_bar and of the errors are those of the fixed point at q_bar, with respect to pi_hat, T, abscissae and
-    angular_weight, and none to the seed: of rows that ended CONVERGED or SETTLED. A row at ITERATION_LIMIT is a
+    angular_weight, and none to the seed: of rows that ended CONVERGED, SETTLED or MISFIT. A row at ITERATION_LIMIT is a
     constant, an INVALID one is its seed. Differentiating the gradient again raises GradientError.
+
+    No section is ever inferred shorter than a share of its rest length: one turned inside out, bent the other way round,
+    has the same tip. A seed that is far off, or has such a section, first tries the bends that the sensors' orientations
+    tell, and keeps them where they fit better.
 
     Args:
         backbone: The model.
@@ -209,8 +213,8 @@ class StateFeedback(Part):
         oriented = usable
         if angular_mask is not None:
             oriented = usable & _check_mask("angular_mask", angular_mask, usable.shape[-1])
-        last = torch.tensor([0.0, 0.0, 0.0, 1.0], dtype=T.dtype, device=T.device)
-        wrong = usable & (T[..., 3, :] != last).any(-1) | oriented & ~is_rotation(T[..., :3, :3])
+        last = (T[..., 3, :3] == 0.0).all(-1) & (T[..., 3, 3] == 1.0)
+        wrong = (usable & ~last) | (oriented & ~is_rotation(T[..., :3, :3]))
         right = ~wrong.any(-1, keepdim=True)
         return usable & right, oriented & right
 
