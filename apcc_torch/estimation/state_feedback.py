@@ -94,8 +94,8 @@ class StateFeedback(Part):
     angular_weight, and none to the seed: of rows that ended CONVERGED, SETTLED or MISFIT. A row at ITERATION_LIMIT is a
     constant, an INVALID one is its seed. Differentiating the gradient again raises GradientError.
 
-    No section is ever inferred shorter than a share of its rest length: one turned inside out, bent the other way round,
-    has the same tip. A seed that is far off, or has such a section, first tries the bends that the sensors' orientations
+    No section is ever inferred shorter than a share of its rest length: one turned inside out, bent the other way, has
+    the same tip. A seed that is far off, or has such a section, first tries the bends that the sensors' orientations
     tell, and keeps them where they fit better.
 
     Args:
