@@ -17,8 +17,9 @@ import torch
 from torch import Tensor
 
 from apcc_torch import PCCBackbone
+from apcc_torch.control.bounds import RateBounds
 from apcc_torch.control.inverse_kinematics import InverseKinematics
-from apcc_torch.control.task_stack import RateBounds, TaskStack
+from apcc_torch.control.task_stack import TaskStack
 from apcc_torch.control.tasks import Task, TaskTarget
 from apcc_torch.model.mount import MountedArm, RigidMount
 from apcc_torch.report import style

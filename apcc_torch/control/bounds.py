@@ -1,11 +1,51 @@
-"""Bounds on vectors: entry by entry, or a row as a whole, which keeps its direction."""
+"""Bounds on vectors: entry by entry, or a row as a whole, which keeps its direction; and velocities within bounds."""
 
 from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
+from apcc_torch.modes import none_left
 from apcc_torch.settings import Setting, aligned
+from apcc_torch.shapes import check_tensor
+
+Solve = Callable[[Tensor | None, Tensor | None], Tensor]
+"""Of fixed rates and of what is free to a velocity; see `solved_within`."""
+
+
+class RateBounds(NamedTuple):
+    """Bounds on qdot: lower and upper (..., n), rad/s and m/s, infinite where there is none."""
+
+    lower: Tensor
+    upper: Tensor
+
+
+def solved_within(solve: Solve, bounds: RateBounds, rounds: int = 4) -> Tensor:
+    """A velocity qdot (..., n) within bounds, by an active set: a coordinate that would leave them drops out.
+
+    Args:
+        solve: The velocity (..., n) of the coordinates that are free, (..., n) ones and zeros, the others moving at
+            rates (..., n); of both None, that of all coordinates.
+        bounds: Bounds on qdot. A coordinate that would leave them is held at its bound and the others make up for it as
+            far as they can; what leaves them after the last round is cut. A row within them stays as it is, to the bit.
+        rounds: Most rounds of that.
+    """
+    first = solved = solve(None, None)
+    lower, upper = (check_tensor(n, b, solved.shape[-1:]) for n, b in zip(RateBounds._fields, bounds, strict=True))
+    held = torch.zeros_like(solved, dtype=torch.bool)
+    fixed = torch.zeros_like(solved)
+    for _ in range(rounds):
+        out = (solved < lower) | (solved > upper)
+        if none_left(out):
+            break
+        fixed = torch.where(out & ~held, torch.minimum(torch.maximum(solved, lower), upper), fixed)
+        held = held | out
+        free = (~held).to(solved)
+        solved = solve(fixed, free) * free + fixed
+    return torch.where(held.any(-1, keepdim=True), torch.minimum(torch.maximum(solved, lower), upper), first)
 
 
 def within(x: Tensor, bound: Setting | None) -> Tensor:

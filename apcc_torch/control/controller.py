@@ -9,7 +9,7 @@ import torch
 from torch import Tensor, nn
 
 from apcc_torch.control.adaptation import total_regressor
-from apcc_torch.control.bounds import within
+from apcc_torch.control.bounds import RateBounds, within
 from apcc_torch.control.control_settings import ControllerSettings, ControlSettings
 from apcc_torch.control.inverse_kinematics import InverseKinematics
 from apcc_torch.control.length_bounds import LengthBounds
@@ -17,6 +17,7 @@ from apcc_torch.control.length_law import LawStep, LengthLaw, Memory
 from apcc_torch.control.step_io import Command, ControllerState, Measurement, Target, check_step, measured_tip
 from apcc_torch.control.task_integral import TaskIntegral
 from apcc_torch.control.tendon_limits import SolverStatus
+from apcc_torch.estimation.feedback import FeedbackStatus
 from apcc_torch.estimation.pose_filter import PoseFilter, PoseFilterState
 from apcc_torch.estimation.savitzky_golay import SavitzkyGolay
 from apcc_torch.estimation.state_feedback import StateFeedback
@@ -186,7 +187,7 @@ class APCCController(Part):
         dt = (measurement.time - state.time).clamp(0.0, self.integration_limit).to(pi_hat.dtype)
         expected, T = self._filtered(state, measurement, dt)
         inference = self.feedback.infer(state.q_bar, pi_hat, T, measurement.mask, measurement.angular_mask)
-        q_bar = inference.feedback.q_bar
+        q_bar, valid = inference.feedback.q_bar, inference.feedback.status != FeedbackStatus.INVALID
         filtered, qdot_bar = self.velocity_filter(state.velocity_filter, q_bar, measurement.time)
 
         # One chain serves the tip, its Jacobian and that Jacobian's rate.
@@ -194,22 +195,28 @@ class APCCController(Part):
             chain, dq_dpi = self.feedback.chain_and_sensitivity(inference, batch)
         else:
             chain, dq_dpi = self.backbone.chain(q_bar.expand(*batch, q_bar.shape[-1]), pi_hat), None
-        x, tip_seen = measured_tip(measurement, chain.tip)
+        x, tip_seen = measured_tip(measurement, chain.tip, valid)
         e = target.x_d - x
-        # Where the tip is not measured e is the model's own, and without a target there is none: it is not integrated,
-        # and teaches nothing of the model.
-        e_seen = torch.where((tip_seen & torch.isfinite(e).all(-1)).unsqueeze(-1), e, 0.0)
+        # Where the tip is not measured e is the model's own, and without a target or an estimate there is none: it is not
+        # integrated, and teaches nothing of the model.
+        e_seen = torch.where((tip_seen & valid & torch.isfinite(e).all(-1)).unsqueeze(-1), e, 0.0)
         integral = state.integral
         if self.integral is not None and integral is not None:
             integral = self.integral(integral, e_seen, dt)
         wanted = e if integral is None else e + integral
-        qdot, limits = self._solve(state, measurement, target, q_bar, chain, wanted, dt)
-        # A step that is not finite is not taken: one bad measurement or target must not stay in the integral.
+        bounds = self._rate_bounds(state.q_d, dt)
+        qdot, limits = self._solve(state, measurement, target, q_bar, chain, wanted, dt, bounds)
+        # Where nothing is known of the arm, or of the target, it is told to stay.
         aimed = torch.isfinite(qdot).all(-1) & torch.isfinite(e).all(-1)
-        qdot = torch.where(aimed.unsqueeze(-1), qdot, 0.0)
+        qdot = torch.where((aimed & valid).unsqueeze(-1), qdot, 0.0)
+        wished = state.q_d + dt.unsqueeze(-1) * qdot
+        q_d = self._bounded(wished)
         limits = torch.where(aimed, SolverStatus.FREE if limits is None else limits, SolverStatus.NOT_FINITE)
-        q_d = self._bounded(state.q_d + dt.unsqueeze(-1) * qdot)
-        q_d = torch.where(torch.isfinite(q_d), q_d, state.q_d)
+        if bounds is not None:
+            held = ((qdot == bounds.lower) | (qdot == bounds.upper) | (q_d != wished)).any(-1)
+            limits = torch.where(held & (limits == SolverStatus.FREE), int(SolverStatus.LIMITED), limits)
+        # A step that is not finite is not taken: one bad measurement or target must not stay in the integral.
+        q_d = torch.where(torch.isfinite(q_d) & valid.unsqueeze(-1), q_d, state.q_d)
         memories = state.memories
         if self.adaptive and self.laws:
             rows = {
@@ -255,9 +262,12 @@ class APCCController(Part):
         chain: Placed,
         e: Tensor,
         dt: Tensor,
+        bounds: RateBounds | None,
     ) -> tuple[Tensor, Tensor | None]:
-        """qdot (..., n) of Eq. (16), with the model's chain at (q_bar, pi_hat), and `Command.limits`."""
-        return self.inverse_kinematics(chain.tip_jacobian(), e, target.xdot_d.expand_as(e), q_bar, dt), None
+        """qdot (..., n) of Eq. (16) within its bounds, with the model's chain at (q_bar, pi_hat), and the tendons'
+        `Command.limits`.
+        """
+        return self.inverse_kinematics(chain.tip_jacobian(), e, target.xdot_d.expand_as(e), q_bar, dt, bounds), None
 
     def _adapted(
         self, pi_hat: Tensor, dt: Tensor, step: LawStep, memories: tuple[Memory, ...]
@@ -270,8 +280,10 @@ class APCCController(Part):
             later.append(memory)
         assert speed is not None  # there is a law
         moved = pi_hat + dt.unsqueeze(-1) * speed
-        # A step that is not finite is not taken: one bad measurement must not lose what was learnt.
-        moved = torch.where(torch.isfinite(moved), moved, pi_hat)
+        # A step that is not finite is not taken: one bad measurement must not lose what was learnt. Nor is one where
+        # there is no estimate to learn from.
+        valid = step.inference.feedback.status != FeedbackStatus.INVALID
+        moved = torch.where(torch.isfinite(moved) & valid.unsqueeze(-1), moved, pi_hat)
         if self.bounds is not None:
             metrics = (law.metric for law in self.laws)
             moved = self.bounds(moved, next((metric for metric in metrics if metric is not None), None))
@@ -292,6 +304,18 @@ class APCCController(Part):
     def tendons(self, q: Tensor, pi_hat: Tensor) -> Tensor | None:
         """Tendon length changes (..., n_a), m, that a configuration q (..., n) means; None without a routing."""
         return None if self.routing is None else self.backbone.tendon_lengths(self.routing, q, pi_hat)
+
+    def _rate_bounds(self, q_d: Tensor, dt: Tensor) -> RateBounds | None:
+        """Bounds on qdot that keep q_d (..., n) within its own for dt (...); None where it has none.
+
+        What is beyond its bound already, as a start may be, is not pushed farther out.
+        """
+        if self.bend_bound is None and self.elongation_bound is None:
+            return None
+        bend, elongation = (torch.inf if b is None else b for b in (self.bend_bound, self.elongation_bound))
+        bound = self.backbone.coordinates.per_unit(bend, elongation, q_d.shape[-1], q_d)
+        step = dt.unsqueeze(-1).clamp(min=1e-6)
+        return RateBounds(((-bound - q_d) / step).clamp(max=0.0), ((bound - q_d) / step).clamp(min=0.0))
 
     def _bounded(self, q_d: Tensor) -> Tensor:
         if self.bend_bound is None and self.elongation_bound is None:

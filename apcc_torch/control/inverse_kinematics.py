@@ -9,6 +9,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from apcc_torch.control.bounds import RateBounds, solved_within
 from apcc_torch.control.gain import check_gain, gain_matrix
 from apcc_torch.linalg import damped_pseudo_inverse
 from apcc_torch.model.coordinates import CONSTANT_CURVATURE, Coordinates
@@ -160,7 +161,15 @@ class InverseKinematics(Part):
                 size = n_sections or (len(value) if isinstance(value, Sequence) else own)
                 hold_rows(self, **{name: (check_finite(name, spread(name, value, size)), 1)})
 
-    def forward(self, J_hat: Tensor, e: Tensor, xdot_d: Tensor, q: Tensor, dt: Tensor | None = None) -> Tensor:
+    def forward(
+        self,
+        J_hat: Tensor,
+        e: Tensor,
+        xdot_d: Tensor,
+        q: Tensor,
+        dt: Tensor | None = None,
+        bounds: RateBounds | None = None,
+    ) -> Tensor:
         """Configuration velocity qdot (..., n), rad/s and m/s.
 
         Args:
@@ -169,6 +178,7 @@ class InverseKinematics(Part):
             xdot_d: (..., 3) desired velocity, m/s.
             q: (..., n) configuration at which Psi is lowered.
             dt: (...) s for which the velocity is held, for `null_step`; None where it is not held.
+            bounds: Of qdot; what would leave them drops out of the pseudo-inverse, see `solved_within`. None for none.
 
         Raises:
             ShapeError, DtypeError: The arguments do not fit each other.
@@ -179,12 +189,21 @@ class InverseKinematics(Part):
         check_tensor("q", q, (J_hat.shape[-1],))
         check_same(J_hat=J_hat, e=e, xdot_d=xdot_d, q=q)
         J_hat = self.coordinates.driven(J_hat)
-        J_pinv = damped_pseudo_inverse(J_hat, aligned(self.damping, 2))
         velocity = self.tip_velocity(e, xdot_d)
         descent = self.descent(q, dt, velocity).unsqueeze(-1)
-        # Eq. (16), with J^+ (v - J descent) + descent for J^+ v + (I - J^+ J) descent: one product fewer.
-        qdot = (J_pinv @ (velocity.unsqueeze(-1) - J_hat @ descent) + descent).squeeze(-1)
-        return self.bounded(qdot)
+
+        def solve(fixed: Tensor | None, free: Tensor | None) -> Tensor:
+            if fixed is None or free is None:
+                return self._solved(J_hat, velocity.unsqueeze(-1), descent)
+            asked = velocity.unsqueeze(-1) - J_hat @ fixed.unsqueeze(-1)
+            return self._solved(J_hat * free.unsqueeze(-2), asked, descent * free.unsqueeze(-1))
+
+        return self.bounded(solve(None, None) if bounds is None else solved_within(solve, bounds))
+
+    def _solved(self, J: Tensor, velocity: Tensor, descent: Tensor) -> Tensor:
+        """Eq. (16), with J^+ (v - J descent) + descent for J^+ v + (I - J^+ J) descent: one product fewer."""
+        J_pinv = damped_pseudo_inverse(J, aligned(self.damping, 2))
+        return (J_pinv @ (velocity - J @ descent) + descent).squeeze(-1)
 
     def tip_velocity(self, e: Tensor, xdot_d: Tensor) -> Tensor:
         """xdot_d + K e (..., 3), m/s: what is asked of the tip. Arguments as `forward`."""

@@ -55,7 +55,8 @@ class Command(NamedTuple):
     y: (..., n_a) tendon length changes B_hat^T q_d, Eq. (49), m; None without tendons.
     e: (..., 3) position error x_d - x, m.
     feedback: What algorithm 2 returned.
-    limits: (...) int64 `SolverStatus` of the velocity. NOT_FINITE: the target is not, and the row holds its q_d.
+    limits: (...) int64 `SolverStatus` of the velocity. LIMITED: a coordinate of q_d is held at its bound, or the
+        tendons' limits matter. NOT_FINITE: the target is not, and the row holds its q_d.
     force: (..., n_a) feed-forward of the tendon loop, N; None without a model of the dynamics.
     """
 
@@ -113,13 +114,15 @@ def check_step(state: ControllerState, measurement: Measurement, target: Target,
     return batch_shape(**{"state.q_bar": (state.q_bar, 1), "state.pi_hat": (state.pi_hat, 1), **leading})
 
 
-def measured_tip(measurement: Measurement, x_hat: Tensor) -> tuple[Tensor, Tensor]:
-    """The end effector and whether it was measured; the model's where the measurement is masked or not finite."""
+def measured_tip(measurement: Measurement, x_hat: Tensor, valid: Tensor) -> tuple[Tensor, Tensor]:
+    """The end effector and whether it was measured; the model's where the measurement is masked or not finite, or where
+    the last sensor's pose is of a row that is not valid (...).
+    """
     if measurement.tip is not None:
         x, seen = measurement.tip, torch.isfinite(measurement.tip).all(-1)
     else:
         x = measurement.T[..., -1, :3, 3]
-        seen = torch.isfinite(x).all(-1)
+        seen = torch.isfinite(x).all(-1) & valid
         if measurement.mask is not None:
             seen = seen & measurement.mask[..., -1]
     return torch.where(seen.unsqueeze(-1), x, x_hat), seen

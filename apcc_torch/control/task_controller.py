@@ -8,6 +8,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from apcc_torch.control.bounds import RateBounds
 from apcc_torch.control.clearance import ClearanceCost
 from apcc_torch.control.controller import APCCController
 from apcc_torch.control.step_io import Command, ControllerState, Measurement, Target
@@ -87,8 +88,9 @@ class TaskController(APCCController):
         chain: Placed,
         e: Tensor,
         dt: Tensor,
+        bounds: RateBounds | None,
     ) -> tuple[Tensor, Tensor | None]:
-        """qdot (..., n) of the whole stack, and `Command.limits`."""
+        """qdot (..., n) of the whole stack within its bounds, and the tendons' `Command.limits`."""
         pi_hat = state.pi_hat
         T, J_b = self.stack.poses(self.backbone, q_bar, pi_hat)
         # The tip's error is the controller's, which knows whether the tip was measured.
@@ -103,11 +105,16 @@ class TaskController(APCCController):
         if self.clearance is not None:
             descent = descent + driven(self.clearance.descent(self.backbone, q_bar, pi_hat))
         if self.constrained is None:
-            return self.inverse_kinematics.bounded(self.stack(rates, descent)), None
+            return self.inverse_kinematics.bounded(self.stack(rates, descent, bounds)), None
         assert self.tendon_limits is not None and self.routing is not None  # checked when this was made
         B = self.backbone.tendon_matrix(self.routing, pi_hat)
         y = (B.mT @ state.q_d.unsqueeze(-1)).squeeze(-1)
-        qdot, status = self.constrained(rates, B, *self.tendon_limits.rates(y, dt), descent)
+        lower, upper = self.tendon_limits.rates(y, dt)
+        if bounds is not None:  # of linear forms of qdot, each coordinate being one
+            B = torch.cat((B, torch.eye(B.shape[-2], dtype=B.dtype, device=B.device).expand(*B.shape[:-1], -1)), dim=-1)
+            ends = zip((lower, upper), bounds, strict=True)
+            lower, upper = (torch.cat((a.expand(*b.shape[:-1], -1), b), dim=-1) for a, b in ends)
+        qdot, status = self.constrained(rates, B, lower, upper, descent)
         return self.inverse_kinematics.bounded(qdot), status
 
 

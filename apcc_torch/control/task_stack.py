@@ -13,25 +13,18 @@ through, a lower level would amplify until its own task is met.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import torch
 from torch import Tensor, nn
 
+from apcc_torch.control.bounds import RateBounds, solved_within
 from apcc_torch.control.tasks import JointedModel, Task, TaskRate, TaskTarget, weighted_rows
 from apcc_torch.errors import ShapeError, ValueRangeError
 from apcc_torch.linalg import damped_pseudo_inverse
 from apcc_torch.model.abscissae import decouple
 from apcc_torch.part import Part, hold_numbers, hold_rows
 from apcc_torch.settings import Setting, aligned, check_setting
-from apcc_torch.shapes import check_positive, check_tensor
-
-
-class RateBounds(NamedTuple):
-    """Bounds on qdot: lower and upper (..., n), rad/s and m/s, infinite where there is none."""
-
-    lower: Tensor
-    upper: Tensor
+from apcc_torch.shapes import check_positive
 
 
 class TaskStack(Part):
@@ -132,24 +125,16 @@ class TaskStack(Part):
         Args:
             rates: What the tasks ask for, from `rates`.
             descent: (..., n) velocity to follow where no task forbids it, the negative gradient of a cost; None for 0.
-            bounds: Bounds on qdot. A coordinate that would leave them is held at its bound and the others make up for
-                it as far as they can; what leaves them after the last round is cut.
-            rounds: Most rounds of that.
+            bounds, rounds: See `solved_within`; None for no bounds.
         """
-        solved = self._solved(rates, descent)
-        if bounds is None:
-            return solved
-        lower, upper = (check_tensor(n, b, solved.shape[-1:]) for n, b in zip(RateBounds._fields, bounds, strict=True))
-        held = torch.zeros_like(solved, dtype=torch.bool)
-        fixed = torch.zeros_like(solved)
-        for _ in range(rounds):
-            out = (solved < lower) | (solved > upper)
-            fixed = torch.where(out & ~held, torch.minimum(torch.maximum(solved, lower), upper), fixed)
-            held = held | out
-            free = (~held).to(solved)
+
+        def solve(fixed: Tensor | None, free: Tensor | None) -> Tensor:
+            if fixed is None or free is None:
+                return self._solved(rates, descent)
             left = [_without(rate, fixed, free) for rate in rates]
-            solved = self._solved(left, None if descent is None else descent * free) * free + fixed
-        return torch.minimum(torch.maximum(solved, lower), upper)
+            return self._solved(left, None if descent is None else descent * free)
+
+        return solve(None, None) if bounds is None else solved_within(solve, bounds, rounds)
 
     def _solved(self, rates: Sequence[TaskRate], descent: Tensor | None) -> Tensor:
         damping = aligned(self.damping, 2)

@@ -21,11 +21,14 @@ class FeedbackStatus(IntEnum):
     CONVERGED = 0
     """Every sensor is within both thresholds."""
     SETTLED = 1
-    """The step became negligible with a residual above the thresholds: the model cannot fit the sensors better."""
+    """The step became negligible with a residual above the thresholds: nearby, the model fits no better."""
     ITERATION_LIMIT = 2
     """The iterations ran out first."""
     INVALID = 3
-    """No usable sensor, or a non-finite seed or parameter: q_bar is the seed."""
+    """No usable sensor, one whose pose is no pose, a non-finite seed, or a rest length that is not positive and finite:
+    q_bar is the seed, and the controller holds its command."""
+    MISFIT = 4
+    """The step became negligible far from the sensors: another branch of the shape, or another arm."""
 
 
 class Feedback(NamedTuple):
@@ -37,6 +40,7 @@ class Feedback(NamedTuple):
         that is masked.
     iterations: (...) int64 steps computed.
     status: (...) int64 `FeedbackStatus`.
+    unseen: (...) int64 how many directions of q the sensors that count do not see: there q_bar stays near the seed.
 
     Example:
         >>> arm = Arm(lengths=[0.2, 0.25])
@@ -52,6 +56,7 @@ class Feedback(NamedTuple):
     linear_error: Tensor
     iterations: Tensor
     status: Tensor
+    unseen: Tensor
 
 
 class Inference(NamedTuple):

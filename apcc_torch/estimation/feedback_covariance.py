@@ -69,6 +69,9 @@ def feedback_covariance(
 ) -> Tensor:
     """Covariance of q_bar (..., n, n) under independent noise of the sensors.
 
+    It is that of the directions which the sensors see. The others keep the seed whatever the noise, and have none here:
+    `Feedback.unseen` counts them.
+
     Args:
         feedback: Algorithm 2.
         q_bar: (..., n) an estimate.

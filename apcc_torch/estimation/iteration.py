@@ -8,10 +8,18 @@ import torch
 from torch import Tensor
 
 from apcc_torch.estimation.fit import Fit, Problem, evaluate, select
+from apcc_torch.estimation.measured_bends import measured_bends
 from apcc_torch.estimation.step import damped_step
+from apcc_torch.linalg import solve_spd
 from apcc_torch.model.kinematic_model import KinematicModel
 from apcc_torch.modes import none_left
 from apcc_torch.settings import Setting, aligned
+
+# A seed that is farther off at a sensor, rad and of the sensor's distance along the arm, has lost its way: the shortest
+# way back may be the wrong way round.
+LOST_ANGLE, LOST_SHARE = 2.0, 0.75
+# A direction of q that moves no sensor by more than the root of this, m or weighted rad per unit, is unseen.
+UNSEEN = 1e-8
 
 
 class Rules(NamedTuple):
@@ -72,13 +80,43 @@ def _score(rules: Rules, fit: Fit) -> _Scored:
     return _Scored(fit, cost, position_cost, inside.all(-1))
 
 
-def _step(rules: Rules, fit: Fit, weights: Tensor, damping: Tensor, limits: Tensor) -> _Step:
+def _step(rules: Rules, fit: Fit, weights: Tensor, damping: Tensor, limits: Tensor, lowest: Tensor) -> _Step:
     residual = fit.residual(rules.mode, weights)
     step = damped_step(rules.mode, residual, damping)
     size = step.abs()
     step = step / (size / limits).amax((-1, -2), keepdim=True).clamp(min=1.0)
+    step = torch.maximum(step, (lowest - fit.q).unsqueeze(-1))
     after = torch.where(weights > 0.0, residual.twists - residual.body @ step.unsqueeze(-3), 0.0)
     return _Step(step.squeeze(-1), after.squeeze(-1), size.amax((-1, -2)) < rules.settled_step)
+
+
+def far_off(fit: Fit, problem: Problem) -> Tensor:
+    """(...) bool, whether a sensor is so far off that the way to it is not the one that the twist tells."""
+    angular, linear = fit.squares()
+    return ((angular > LOST_ANGLE**2) | (linear > (LOST_SHARE * problem.points.length.sum(-1)).square())).any(-1)
+
+
+def unseen(fit: Fit, problem: Problem) -> Tensor:
+    """(...) int64, how many directions of q no row that counts sees: n less the rank of the weighted Jacobian.
+
+    Of its singular values s each unseen one adds one to the sum of tau / (s^2 + tau), and the others next to nothing.
+    """
+    J = (fit.body * problem.weights).flatten(-3, -2)
+    n = J.shape[-1]
+    tau = max(UNSEEN, 32.0 * torch.finfo(J.dtype).eps)
+    identity = torch.eye(n, dtype=J.dtype, device=J.device)
+    inverse = solve_spd(J.mT @ J + tau * identity, identity.expand(*J.shape[:-2], n, n))
+    lost = tau * inverse.diagonal(dim1=-2, dim2=-1).sum(-1)
+    return torch.where(torch.isfinite(lost), torch.floor(lost + 0.5), n).to(torch.int64)
+
+
+def _found(backbone: KinematicModel, step: _Step, best: _Scored, problem: Problem, lowest: Tensor) -> _Step:
+    """The first step; of rows that are lost, the way to what the sensors' orientations say."""
+    lost = far_off(best.fit, problem) | ((best.fit.q <= lowest).any(-1) & ~best.within)
+    if none_left(lost):
+        return step
+    way = torch.maximum(measured_bends(backbone, problem), lowest) - best.fit.q
+    return step._replace(step=torch.where(lost.unsqueeze(-1), way, step.step), negligible=step.negligible & ~lost)
 
 
 def _better(rules: Rules, trial: _Scored, best: _Scored) -> Tensor:
@@ -105,9 +143,13 @@ def _first_damping(rules: Rules, floor: float, cost: Tensor) -> Tensor:
     return torch.full_like(cost, max(rules.damping, floor))
 
 
-def iterate(backbone: KinematicModel, rules: Rules, q_seed: Tensor, problem: Problem) -> Outcome:
-    """Steps from q_seed (..., n), of the problem's leading shape, until every row has ended."""
-    best = _score(rules, evaluate(backbone, rules.mode, q_seed, problem))
+def iterate(backbone: KinematicModel, rules: Rules, q_seed: Tensor, problem: Problem, lowest: Tensor) -> Outcome:
+    """Steps from q_seed (..., n), of the problem's leading shape, until every row has ended.
+
+    No coordinate falls below `lowest` (..., n). A row whose seed has lost its way first tries what the sensors'
+    orientations say.
+    """
+    best = _score(rules, evaluate(backbone, rules.mode, torch.maximum(q_seed, lowest), problem))
     valid = problem.usable.any(-1) & torch.isfinite(best.cost)
     # Below this the damped normal matrix, of order one, is singular to rounding where sensors leave freedom.
     floor = 32.0 * torch.finfo(best.cost.dtype).eps
@@ -122,7 +164,9 @@ def iterate(backbone: KinematicModel, rules: Rules, q_seed: Tensor, problem: Pro
         if none_left(live):
             break
         last = k + 1 >= rules.min_iterations
-        step = _step(rules, best.fit, problem.weights, damping, limits)
+        step = _step(rules, best.fit, problem.weights, damping, limits, lowest)
+        if k == 0:
+            step = _found(backbone, step, best, problem, lowest)
         negligible = step.negligible & live
         iterations = iterations + live
         settled = settled | negligible

@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
+from apcc_torch.lie.rotations import is_rotation
 from apcc_torch.part import Part, hold_rows, refuse_parameter
 from apcc_torch.settings import OURS, Settings, resolved, setting
 from apcc_torch.shapes import batch_shape, check_stamps, check_tensor
@@ -211,9 +212,8 @@ class SensorGate(Part):
         # From here on every number is finite: what is not is replaced by what was held, and its reason stands.
         R = torch.where(finite[..., None, None], R, state.rotation)
         p = torch.where(finite[..., None], p, state.position)
-        gram = R.mT @ R - self.identity.to(R)
-        proper = (gram.abs().amax((-2, -1)) <= self.rotation_tolerance) & (torch.linalg.det(R) > 0)
-        common = ((Reason.UNTRACKED, ~tracked), (Reason.NON_FINITE, ~finite), (Reason.NOT_A_ROTATION, ~proper))
+        improper = ~is_rotation(R, self.rotation_tolerance)
+        common = ((Reason.UNTRACKED, ~tracked), (Reason.NON_FINITE, ~finite), (Reason.NOT_A_ROTATION, improper))
 
         waited = (now - state.position_time).clamp(min=0.0).to(p.dtype)
         allowed = self.position_margin + self.max_speed * waited

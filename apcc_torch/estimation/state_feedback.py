@@ -12,8 +12,9 @@ from apcc_torch.errors import DtypeError, ShapeError, ValueRangeError
 from apcc_torch.estimation.feedback import Feedback, FeedbackStatus, Inference
 from apcc_torch.estimation.fit import Problem
 from apcc_torch.estimation.implicit import attached
-from apcc_torch.estimation.iteration import Rules, iterate
+from apcc_torch.estimation.iteration import Rules, far_off, iterate, unseen
 from apcc_torch.estimation.step import Residual, damped_step, row_weights
+from apcc_torch.lie.rotations import is_rotation
 from apcc_torch.model.abscissae import MaterialPoints, located
 from apcc_torch.model.kinematic_model import KinematicModel, Placed
 from apcc_torch.modes import holds
@@ -23,6 +24,9 @@ from apcc_torch.shapes import batch_shape, check_finite, check_same, check_tenso
 
 MODES = ("position", "pose", "hierarchical")
 GRADIENTS = ("implicit", "unrolled")
+# Of its rest length, the least that a section keeps. A shorter one is never inferred: through nothing lies a section
+# turned inside out, of negative length and bent the other way round, with the very same tip.
+SHORTEST = 0.01
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,8 +91,12 @@ class StateFeedback(Part):
     Each number may also be a tensor (...), one a row, except the numbers of iterations.
 
     Gradients of q_bar and of the errors are those of the fixed point at q_bar, with respect to pi_hat, T, abscissae and
-    angular_weight, and none to the seed: of rows that ended CONVERGED or SETTLED. A row at ITERATION_LIMIT is a
+    angular_weight, and none to the seed: of rows that ended CONVERGED, SETTLED or MISFIT. A row at ITERATION_LIMIT is a
     constant, an INVALID one is its seed. Differentiating the gradient again raises GradientError.
+
+    No section is ever inferred shorter than a share of its rest length: one turned inside out, bent the other way, has
+    the same tip. A seed that is far off, or has such a section, first tries the bends that the sensors' orientations
+    tell, and keeps them where they fit better.
 
     Args:
         backbone: The model.
@@ -147,7 +155,8 @@ class StateFeedback(Part):
         Args:
             q_seed: (..., n) first guess, the previous q_bar (remark 4).
             pi_hat: (..., n_b) parameter estimates, m.
-            T: (..., k, 4, 4) measured sensor poses, world frame. Non-finite sensors count as masked.
+            T: (..., k, 4, 4) measured sensor poses, world frame. Non-finite sensors count as masked. A finite one that
+                counts and is no pose, be it of zeros or scaled, makes its row INVALID.
             mask: (..., k) bool, False for a sensor to leave out; None for all.
             angular_mask: (..., k) bool, False for a sensor whose orientation to leave out; None for `mask`.
 
@@ -179,6 +188,8 @@ class StateFeedback(Part):
         if any(shape != batch for shape in others):
             batch = torch.broadcast_shapes(batch, *others)
         usable, oriented, pi_hat, q_seed = (v.expand(*batch, v.shape[-1]) for v in (usable, oriented, pi_hat, q_seed))
+        lengths = (pi_hat > 0.0).all(-1, keepdim=True)  # of no length there is nothing to bend
+        usable, oriented = usable & lengths, oriented & lengths
         # What is left out is measured where the model has it: it pulls nowhere, and nothing non-finite enters.
         T = torch.where(usable[..., None, None], T, 0.0)
         problem = Problem(
@@ -189,16 +200,23 @@ class StateFeedback(Part):
             oriented,
             self._weights(usable, oriented, pi_hat.dtype),
         )
-        return Inference(self._infer(q_seed, problem), pi_hat, problem)
+        return Inference(self._infer(q_seed, pi_hat, problem), pi_hat, problem)
 
     def used(self, T: Tensor, mask: Tensor | None = None, angular_mask: Tensor | None = None) -> tuple[Tensor, Tensor]:
-        """Which sensors, and which orientations, count: two bool (..., k). Arguments as `forward`."""
+        """Which sensors, and which orientations, count: two bool (..., k). Arguments as `forward`.
+
+        None of a row counts in which one that does is no pose: what else such a source says is as wrong.
+        """
         usable = torch.isfinite(T).flatten(-2).all(-1)
         if mask is not None:
             usable = usable & _check_mask("mask", mask, usable.shape[-1])
-        if angular_mask is None:
-            return usable, usable
-        return usable, usable & _check_mask("angular_mask", angular_mask, usable.shape[-1])
+        oriented = usable
+        if angular_mask is not None:
+            oriented = usable & _check_mask("angular_mask", angular_mask, usable.shape[-1])
+        last = (T[..., 3, :3] == 0.0).all(-1) & (T[..., 3, 3] == 1.0)
+        wrong = (usable & ~last) | (oriented & ~is_rotation(T[..., :3, :3]))
+        right = ~wrong.any(-1, keepdim=True)
+        return usable & right, oriented & right
 
     def _abscissae(self, like: Tensor) -> Tensor:
         return self.abscissae.to(dtype=like.dtype, device=like.device)
@@ -224,17 +242,27 @@ class StateFeedback(Part):
             self.settled_step,
         )
 
-    def _infer(self, q_seed: Tensor, problem: Problem) -> Feedback:
+    def _infer(self, q_seed: Tensor, pi_hat: Tensor, problem: Problem) -> Feedback:
+        lowest = self._lowest(pi_hat)
         if self.gradient == "implicit" and torch.is_grad_enabled():
             with torch.no_grad():
-                outcome = iterate(self.backbone, self._rules(), q_seed, problem)
+                outcome = iterate(self.backbone, self._rules(), q_seed, problem, lowest)
             outcome = outcome._replace(fit=attached(self.backbone, self.mode, outcome, q_seed, problem))
         else:
-            outcome = iterate(self.backbone, self._rules(), q_seed, problem)
+            outcome = iterate(self.backbone, self._rules(), q_seed, problem, lowest)
         fit, within, settled, valid, iterations = outcome
         status = torch.full_like(iterations, FeedbackStatus.ITERATION_LIMIT)
-        status = status.masked_fill(settled, FeedbackStatus.SETTLED).masked_fill(within, FeedbackStatus.CONVERGED)
-        return Feedback(fit.q, *fit.errors(), iterations, status.masked_fill(~valid, FeedbackStatus.INVALID))
+        status = status.masked_fill(settled, FeedbackStatus.SETTLED)
+        status = status.masked_fill(settled & far_off(fit, problem), FeedbackStatus.MISFIT)
+        status = status.masked_fill(within, FeedbackStatus.CONVERGED).masked_fill(~valid, FeedbackStatus.INVALID)
+        q_bar = torch.where(valid.unsqueeze(-1), fit.q, q_seed)
+        return Feedback(q_bar, *fit.errors(), iterations, status, unseen(fit, problem))
+
+    def _lowest(self, pi_hat: Tensor) -> Tensor:
+        """The lowest q (..., n): sections keep a share of their rest length, and nothing else is bounded."""
+        coordinates = self.backbone.coordinates
+        bounded = coordinates.on_elongations(torch.ones_like(pi_hat)) > 0.0
+        return torch.where(bounded, coordinates.on_elongations((SHORTEST - 1.0) * pi_hat), -torch.inf)
 
     def sensitivity(
         self, q_bar: Tensor, pi_hat: Tensor, mask: Tensor | None = None, angular_mask: Tensor | None = None

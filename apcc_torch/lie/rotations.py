@@ -50,6 +50,20 @@ def rotation_angle(a: Tensor, b: Tensor) -> Tensor:
 
 
 @full_precision
+def is_rotation(matrix: Tensor, tolerance: float = 1e-2) -> Tensor:
+    """Whether each matrix (..., 3, 3) is a rotation: its columns orthonormal up to `tolerance`, and right-handed.
+
+    Example:
+        >>> is_rotation(torch.eye(3) * torch.tensor([1.0, -1.0, 2.0]).view(3, 1, 1))
+        tensor([ True, False, False])
+    """
+    x, y, z = matrix.unbind(-1)
+    gram = matrix.mT @ matrix - torch.eye(3, dtype=matrix.dtype, device=matrix.device)
+    handed = (torch.linalg.cross(x, y, dim=-1) * z).sum(-1)
+    return (gram.abs().amax((-2, -1)) <= tolerance) & (handed > 0)
+
+
+@full_precision
 def chordal_mean(rotations: Tensor) -> Tensor:
     """The rotation (3, 3) nearest to the sum of rotations (N, 3, 3), a robust mean after one trimming.
 

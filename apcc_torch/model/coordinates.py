@@ -126,6 +126,10 @@ class Coordinates:
         """(..., n) with values (..., n_b) at the bends of their sections and zero elsewhere."""
         return self._spread(values, lambda c: c in (BEND_X, BEND_Y))
 
+    def from_bends(self, x: Tensor, y: Tensor) -> Tensor:
+        """(..., n) with bends x and y (..., n_b), rad, and zero elsewhere; see `bends`."""
+        return self._spread(x, lambda c: c == BEND_X) + self._spread(y, lambda c: c == BEND_Y)
+
     def _spread(self, values: Tensor, holds: Callable[[Coordinate], bool]) -> Tensor:
         """(..., n) with values (..., n_b), one a section, where `holds`, and zero elsewhere."""
         many = sum(c.stretches for c in self.pattern)

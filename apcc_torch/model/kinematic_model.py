@@ -16,6 +16,7 @@ from torch import Tensor
 
 from apcc_torch.errors import DtypeError, ShapeError, ValueRangeError
 from apcc_torch.lie import se3
+from apcc_torch.lie.rotations import is_rotation
 from apcc_torch.model.abscissae import MaterialPoints, decouple, section_fractions
 from apcc_torch.model.coordinates import Coordinates
 from apcc_torch.model.tendons import TendonRouting
@@ -79,9 +80,7 @@ class KinematicModel(Part, ABC):
         if base_rotation is None:
             base_rotation = torch.eye(3, dtype=torch.float64)
         check_tensor("base_rotation", base_rotation, (3, 3))
-        rotation = base_rotation.detach().to(torch.float64)
-        defect = (rotation @ rotation.mT - torch.eye(3, dtype=torch.float64, device=rotation.device)).abs().max()
-        if not holds((defect < 1e-4) & (torch.linalg.det(rotation) > 0.0)):
+        if not holds(is_rotation(base_rotation.detach().to(torch.float64), 1e-4)):
             raise ValueRangeError("base_rotation must be a rotation matrix (orthonormal, determinant 1)")
         self.n_sections = n_sections
         self.coordinates = coordinates

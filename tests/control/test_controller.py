@@ -278,6 +278,26 @@ def test_all_sensors_lost() -> None:
     assert all(torch.isfinite(leaf).all() for leaf in leaves((later, command)))
 
 
+@pytest.mark.parametrize("own_tip", [False, True])
+def test_a_row_without_an_estimate_holds_its_command(own_tip: bool) -> None:
+    q, T, target = scene(3)
+    c = controller(routing=rack_routing(PI.cumsum(0)), integral=TaskIntegral(gain=1.0))
+    tip = T[:, -1, :3, 3] + 0.01 if own_tip else None
+    state, first = c(c.initial_state(q, PI_HAT), Measurement(T, stamp(0.01), tip=tip), target)
+    want = c(state, Measurement(T, stamp(0.02), tip=tip), target)
+    bad = T.clone()
+    bad[1, 2] = 0.0
+    later, command = have = c(state, Measurement(bad, stamp(0.02), tip=tip), target)
+    assert (command.feedback.status == FeedbackStatus.INVALID).tolist() == [False, True, False]
+    for name in ("q_bar", "q_d", "pi_hat", "integral"):
+        assert torch.equal(getattr(later, name)[1], getattr(state, name)[1]), name
+    assert command.y is not None and torch.equal(command.qdot[1], torch.zeros(9).double())
+    assert torch.equal(command.y[1], c.tendons(state.q_d, state.pi_hat)[1])
+    assert float((first.y - command.y)[1].abs().max()) < 1e-12
+    for now, was in zip(leaves(have), leaves(want), strict=True):
+        assert torch.equal(bits(now[[0, 2]]), bits(was[[0, 2]])) if now.dim() and len(now) == 3 else True
+
+
 def test_bounds() -> None:
     q, T, target = scene(20)
     q = q * 1.5

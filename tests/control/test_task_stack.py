@@ -12,10 +12,11 @@ from scipy.optimize import lsq_linear
 from torch import Tensor
 from torch.autograd.functional import jacobian
 
+from apcc_torch.control.bounds import RateBounds
 from apcc_torch.control.clearance import ClearanceCost
 from apcc_torch.control.inverse_kinematics import InverseKinematics
 from apcc_torch.control.obstacles import HalfSpace, Sphere
-from apcc_torch.control.task_stack import RateBounds, TaskStack
+from apcc_torch.control.task_stack import TaskStack
 from apcc_torch.control.tasks import Task, TaskRate, TaskTarget
 from apcc_torch.errors import ShapeError, ValueRangeError
 from apcc_torch.model.affine import AffineBackbone

@@ -130,8 +130,8 @@ def test_rows_without_a_fixed_point_are_constants_and_harm_no_one() -> None:
     T[3] = torch.nan
     bad_seed = q.clone()
     bad_seed[4] = torch.nan
-    bad_seed[2] = 0.9  # far off: five steps do not bring it home
-    settings = {"max_iterations": 5, "linear_threshold": 1e-13, "settled_step": 2e-3}
+    bad_seed[2] = 0.9  # far off: three steps do not bring it home
+    settings = {"max_iterations": 3, "linear_threshold": 1e-13, "settled_step": 2e-3}
 
     def gradients(rows: Any) -> tuple[Feedback, Tensor, Tensor, Tensor]:
         seed, shared, sensors = leaves(bad_seed[rows], MODEL, T[rows])
