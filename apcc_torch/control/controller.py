@@ -187,7 +187,7 @@ class APCCController(Part):
         dt = (measurement.time - state.time).clamp(0.0, self.integration_limit).to(pi_hat.dtype)
         expected, T = self._filtered(state, measurement, dt)
         inference = self.feedback.infer(state.q_bar, pi_hat, T, measurement.mask, measurement.angular_mask)
-        q_bar, valid = inference.feedback.q_bar, inference.feedback.status != FeedbackStatus.INVALID
+        q_bar, valid = inference.feedback.q_bar, inference.feedback.status != int(FeedbackStatus.INVALID)
         filtered, qdot_bar = self.velocity_filter(state.velocity_filter, q_bar, measurement.time)
 
         # One chain serves the tip, its Jacobian and that Jacobian's rate.
@@ -197,8 +197,8 @@ class APCCController(Part):
             chain, dq_dpi = self.backbone.chain(q_bar.expand(*batch, q_bar.shape[-1]), pi_hat), None
         x, tip_seen = measured_tip(measurement, chain.tip, valid)
         e = target.x_d - x
-        # Where the tip is not measured e is the model's own, and without a target or an estimate there is none: it is not
-        # integrated, and teaches nothing of the model.
+        # Where the tip is not measured e is the model's own; without a target or an estimate there is none. It is not
+        # integrated then, and teaches nothing of the model.
         e_seen = torch.where((tip_seen & valid & torch.isfinite(e).all(-1)).unsqueeze(-1), e, 0.0)
         integral = state.integral
         if self.integral is not None and integral is not None:
@@ -282,7 +282,7 @@ class APCCController(Part):
         moved = pi_hat + dt.unsqueeze(-1) * speed
         # A step that is not finite is not taken: one bad measurement must not lose what was learnt. Nor is one where
         # there is no estimate to learn from.
-        valid = step.inference.feedback.status != FeedbackStatus.INVALID
+        valid = step.inference.feedback.status != int(FeedbackStatus.INVALID)
         moved = torch.where(torch.isfinite(moved) & valid.unsqueeze(-1), moved, pi_hat)
         if self.bounds is not None:
             metrics = (law.metric for law in self.laws)

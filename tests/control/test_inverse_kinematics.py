@@ -227,7 +227,7 @@ def test_refusals() -> None:
     for value in ([1.0, -1.0, 1.0], [1.0, float("nan"), 1.0]):
         with pytest.raises(ValueRangeError, match="null_weights must be zero or positive"):
             InverseKinematics(null_weights=torch.tensor(value))
-    with pytest.raises(ValueRangeError, match=r"null_bends is not finite at index \(1,\)"):
+    with pytest.raises(ValueRangeError, match=r"null_bends must be finite, got inf"):
         InverseKinematics(null_bends=torch.tensor([0.0, float("inf"), 0.0]))
     ik = InverseKinematics()
     J, e, xdot_d, q = tasks(0)

@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 import torch
 
+from apcc_torch.envs import TruncatedReason
 from apcc_torch.envs.dynamic import DynamicArm
 from apcc_torch.errors import ConfigError
 from apcc_torch.model.arm import Arm
@@ -68,8 +69,13 @@ def test_other_arms(arm: Arm, name: str, dynamics: str, action: str) -> None:
     for step in range(20):
         assert observation.shape == (3, size) and observation.numpy() in envs.observation_space
         assert bool((observation.abs() < 0.99 * envs.simulator.bounds).all())
-        observation, reward, _, truncated, _ = envs.step(0.5 * actions(envs, step))
-        assert bool(torch.isfinite(reward).all()) and not bool(truncated.any())
+        observation, reward, _, truncated, info = envs.step(0.5 * actions(envs, step))
+        assert bool(torch.isfinite(reward).all())
+        # The law of a five-section arm can run away under random gains; then the row says so, and nothing else.
+        told = info["truncated_reason"][truncated]
+        assert not len(told) or (
+            arm is FIVE and action == "adaptation" and bool((told == TruncatedReason.DIVERGED).all())
+        )
 
 
 @pytest.mark.parametrize("arm", [TWO, Arm(lengths=[0.12] * 5, sensors=[0.1, 0.2, 0.35, 0.5])], ids=["two", "five"])
