@@ -8,6 +8,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from functools import cache
 from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -65,7 +66,14 @@ def check_type(key: str, value: Any, annotation: str) -> None:
         raise ConfigError(f"{key} must be {' or '.join(told)}, got {shown(value)}")
 
 
+def named(annotation: Any) -> str:
+    """The text of an annotation that Python has made an object of, as it does without `annotations` of __future__."""
+    return annotation.__name__ if isinstance(annotation, type) else str(annotation)
+
+
 def _is(value: Any, kind: str) -> bool:
+    if isinstance(value, np.ndarray | np.generic):
+        value = value.tolist()
     if kind in ("float", "int"):
         return isinstance(value, int if kind == "int" else int | float) and not isinstance(value, bool)
     if kind in ("bool", "str"):
@@ -85,6 +93,8 @@ def _is(value: Any, kind: str) -> bool:
 
 def _are_numbers(value: Any) -> bool:
     """Whether a value is a number, a tensor, a profile, or lists of numbers."""
+    if isinstance(value, np.ndarray):
+        value = value.tolist()
     if isinstance(value, list | tuple):
         return len(value) > 0 and all(map(_are_numbers, value[1:] if is_profile(value) else value))
     return _is(value, "float") or _is(value, "Tensor")

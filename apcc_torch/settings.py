@@ -17,7 +17,7 @@ from typing import Any, ClassVar, NamedTuple, Self, TypeVar
 import torch
 from torch import Tensor
 
-from apcc_torch.annotations import check_type, is_finite, numbers_in, shown
+from apcc_torch.annotations import check_type, is_finite, named, numbers_in, shown
 from apcc_torch.errors import ConfigError, ValueRangeError
 
 Setting = float | Tensor
@@ -144,7 +144,7 @@ class Settings:
             if isinstance(value, list):
                 value = tuple(value)
                 object.__setattr__(self, each.name, value)
-            check_type(each.name, value, str(each.type))
+            check_type(each.name, value, each.type if isinstance(each.type, str) else named(each.type))
             about_of(each).check(each.name, value)
         self.check()
 

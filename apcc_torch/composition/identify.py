@@ -76,9 +76,10 @@ class IdentifySettings(FolderSettings):
 
 def of_a_fit(settings: IdentifySettings) -> Unread:
     """What an identification does not read."""
-    if settings.fit.slide_travel == 0:
+    # A spread of zero says that nothing is fitted, and nothing is.
+    if settings.fit.slide_travel == 0 and settings.spread.friction:
         yield "spread.friction", "fit.slide_travel is zero, there is no friction"
-    if settings.fit.history == 1:
+    if settings.fit.history == 1 and settings.spread.damping_ratio:
         yield "spread.damping_ratio", "fit.history is 1, the arm is at rest in every sample"
 
 
@@ -108,9 +109,10 @@ def parameters(settings: IdentifySettings) -> Parameters:
         ConfigError: A spread has the wrong number of entries, all are zero, or what is known by its ratio is.
     """
     arm, spread = settings.arm, settings.spread
-    if settings.fit.slide_travel == 0:
+    # A spread of zero says that nothing is fitted, and nothing is.
+    if settings.fit.slide_travel == 0 and settings.spread.friction:
         spread = spread.changed(friction=0.0)
-    if settings.fit.history == 1:
+    if settings.fit.history == 1 and settings.spread.damping_ratio:
         spread = spread.changed(damping_ratio=0.0)
     for name, value in {"friction": arm.actuation.friction, "damping_ratio": arm.damping_ratio}.items():
         if getattr(spread, name) and not value:

@@ -109,7 +109,9 @@ def points_of(cfg: DictConfig, ours: Sequence[str], config_name: str, swept: Ite
                 bases[composed] = _Base(compose(config_name, [*ours, *composed]) if composed else cfg)
             config = bases[composed].changed([choice for choice in chosen if choice.plain])
         points.append(Point(index, {choice.key: choice.text for choice in chosen}, config))
-    given = [*ours, *(f"{choice.key}=" for axis in axes for choice in axis[:1])]
+    # Each point is a run by itself, which reads nothing of how the batch is run.
+    given = [word for word in ours if not word.lstrip("+").startswith("batch_")]
+    given += [f"{choice.key}=" for axis in axes for choice in axis[:1]]
     check_given(of_a_simulation, [point.config for point in points], given)
     return points
 

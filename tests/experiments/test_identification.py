@@ -76,7 +76,7 @@ def test_a_recording_of_ones_own_from_the_command_line(tmp_path: Path) -> None:
 def test_wrong_files_end_in_one_sentence(tmp_path: Path) -> None:
     done = _identify(tmp_path, "data=nothing.csv")
     assert done.returncode == 2
-    assert done.stderr.strip() == "nothing.csv: there is no such file or folder"
+    assert done.stderr.strip() == "apcc_torch.identify: nothing.csv: there is no such file or folder"
     bad = tmp_path / "bad.csv"
     bad.write_text("timestamp,servo_1_mm,tip_x\n1,2,3\n")
     done = _identify(tmp_path, f"data={bad}", "hydra.run.dir=out")

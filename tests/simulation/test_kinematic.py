@@ -44,7 +44,7 @@ def controller(
         backbone,
         StateFeedback(backbone, PI.cumsum(0), mode),
         SavitzkyGolay(window=5, order=2),
-        InverseKinematics(K=K, damping=damping, null_gain=0.05),
+        InverseKinematics(K=K, damping=damping, null_gain=1.0),
         AdaptiveLaw(3, gamma, regressor),
         # The farthest sensor is at the tip: the arm is no shorter than that.
         bounds=LengthBounds(PI, PI.cumsum(0), lower=None, upper=None),

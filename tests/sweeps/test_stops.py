@@ -20,7 +20,7 @@ from apcc_torch.sweeps.claim import dir_override
 from commands import ONE_BY_ONE, QUICK, command, descendants, environment
 
 FOLDER = "a [sweep] of 'K' * 2"
-KEYS = ("-m", *QUICK, "experiment.duration=600", "experiment.payloads=[0.0],[0.25]")
+KEYS = ("-m", *QUICK, "experiment.duration=600", "adaptation.gain_scale=0.5,1.0")
 JOBLIB = "hydra/launcher=joblib"
 
 
