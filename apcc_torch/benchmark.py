@@ -20,14 +20,14 @@ from apcc_torch.composition.arm_file import arm_override
 from apcc_torch.composition.benchmark import BenchmarkSettings, PairSettings
 from apcc_torch.composition.help import describe
 from apcc_torch.composition.run_settings import SimulateSettings
-from apcc_torch.composition.schema import check_words, refused_in_a_sentence, schema, sentence, typed
+from apcc_torch.composition.schema import check_words, schema, sentence, typed
 from apcc_torch.conf_path import conf_path
 from apcc_torch.errors import ConfigError, one_sentence
 from apcc_torch.files import write_atomically
 from apcc_torch.paper import benchmark_run as paper
 from apcc_torch.plain_text import for_terminal
 from apcc_torch.reading import plain
-from apcc_torch.sweeps.claim import held_folder
+from apcc_torch.sweeps.claim import held_folder, refusals
 
 log = logging.getLogger("apcc_torch.benchmark")
 
@@ -97,10 +97,7 @@ def _hydra_main(cfg: DictConfig) -> None:
 
 def main() -> None:
     """Console entry point."""
-    with (
-        held_folder(),
-        refused_in_a_sentence(lambda said: sys.stderr.write(f"apcc_torch.benchmark: {said}\n"), HydraException),
-    ):
+    with held_folder(), refusals("benchmark"):
         check_words(sys.argv[1:], BenchmarkSettings, "benchmark")
         _hydra_main()
 

@@ -10,19 +10,18 @@ from pathlib import Path
 import hydra
 from hydra.core.config_store import ConfigStore
 from hydra.core.hydra_config import HydraConfig
-from hydra.errors import HydraException
 from omegaconf import DictConfig
 
 from apcc_torch.composition.arm_file import arm_override
 from apcc_torch.composition.help import describe, for_manual
 from apcc_torch.composition.identify import IdentifySettings, known_arm, of_a_fit
-from apcc_torch.composition.schema import check_words, refused_in_a_sentence, schema, typed
+from apcc_torch.composition.schema import check_words, schema, typed
 from apcc_torch.composition.unread import check_given
 from apcc_torch.conf_path import conf_path
 from apcc_torch.errors import ConfigError, one_sentence
 from apcc_torch.experiments import identification
 from apcc_torch.plain_text import for_terminal
-from apcc_torch.sweeps.claim import held_folder
+from apcc_torch.sweeps.claim import held_folder, refusals
 
 log = logging.getLogger("apcc_torch.identify")
 
@@ -61,10 +60,7 @@ def with_arm(arguments: Sequence[str]) -> list[str]:
 
 def main() -> None:
     """Console entry point."""
-    with (
-        held_folder(),
-        refused_in_a_sentence(lambda said: sys.stderr.write(f"apcc_torch.identify: {said}\n"), HydraException),
-    ):
+    with held_folder(), refusals("identify"):
         check_words(sys.argv[1:], IdentifySettings, "identify")
         sys.argv[1:] = arm_override(with_arm(for_manual(sys.argv[1:], "arm=ftdcr_v6")))
         _hydra_main()

@@ -184,11 +184,11 @@ def _is_plain(value: Any) -> bool:
     return type(value) in plain or type(value) in torch.serialization.get_safe_globals()
 
 
-def hold_rows(module: nn.Module, **tensors: tuple[Tensor | None, int]) -> None:
+def hold_rows(module: nn.Module, persistent: bool = True, /, **tensors: tuple[Tensor | None, int]) -> None:
     """Makes tensors a module's own that may differ from row to row: name = (tensor, its trailing dimensions).
 
     A Parameter stays one and is trained. Anything else is copied into a buffer, so that the caller's may change; its
-    graph is kept.
+    graph is kept. One that is not persistent follows from others, and no `state_dict` has it.
     """
     # Beside the buffers: which of them may have leading dimensions, with the number of the others.
     trailing = module.__dict__.setdefault("trailing_dimensions", {})
@@ -197,7 +197,7 @@ def hold_rows(module: nn.Module, **tensors: tuple[Tensor | None, int]) -> None:
         if isinstance(value, nn.Parameter):
             module.register_parameter(name, value)
         else:
-            module.register_buffer(name, None if value is None else value.clone())
+            module.register_buffer(name, None if value is None else value.clone(), persistent)
         trailing[name] = dimensions
 
 

@@ -9,13 +9,12 @@ from pathlib import Path
 import hydra
 from hydra.core.config_store import ConfigStore
 from hydra.core.hydra_config import HydraConfig
-from hydra.errors import HydraException
 from omegaconf import DictConfig, OmegaConf
 
 from apcc_torch.composition.arm_file import arm_override
 from apcc_torch.composition.help import describe, for_manual
 from apcc_torch.composition.realtime import RealtimeSettings, of_a_realtime_run
-from apcc_torch.composition.schema import check_words, refused_in_a_sentence, schema
+from apcc_torch.composition.schema import check_words, schema
 from apcc_torch.composition.unread import check_given
 from apcc_torch.conf_path import conf_path
 from apcc_torch.errors import one_sentence
@@ -23,7 +22,7 @@ from apcc_torch.experiments.folder import metrics_text
 from apcc_torch.hardware.stops import exit_code_table
 from apcc_torch.paper import arm_series as arm_run
 from apcc_torch.plain_text import for_terminal
-from apcc_torch.sweeps.claim import held_folder
+from apcc_torch.sweeps.claim import held_folder, refusals
 
 log = logging.getLogger("apcc_torch.robot")
 
@@ -48,10 +47,7 @@ def _hydra_main(cfg: DictConfig) -> None:
 
 def main() -> None:
     """Console entry point."""
-    with (
-        held_folder(),
-        refused_in_a_sentence(lambda said: sys.stderr.write(f"apcc_torch.robot: {said}\n"), HydraException),
-    ):
+    with held_folder(), refusals("robot"):
         check_words(sys.argv[1:], RealtimeSettings, "realtime")
         sys.argv[1:] = arm_override(for_manual(sys.argv[1:], "experiment=setpoint"))
         _hydra_main()

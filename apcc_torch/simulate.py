@@ -10,14 +10,13 @@ from pathlib import Path
 import hydra
 from hydra.core.config_store import ConfigStore
 from hydra.core.hydra_config import HydraConfig
-from hydra.errors import HydraException
 from hydra.types import RunMode
 from omegaconf import DictConfig
 
 from apcc_torch.composition.arm_file import arm_override
 from apcc_torch.composition.help import describe, for_manual
 from apcc_torch.composition.run_settings import SimulateSettings
-from apcc_torch.composition.schema import check_words, refused_in_a_sentence, schema
+from apcc_torch.composition.schema import check_words, schema
 from apcc_torch.composition.unread import check_given, of_a_simulation
 from apcc_torch.conf_path import conf_path
 from apcc_torch.errors import one_sentence
@@ -27,7 +26,7 @@ from apcc_torch.plain_text import for_terminal
 from apcc_torch.sweeps import batch_run as batch
 from apcc_torch.sweeps.batch_points import batch_points, with_batch
 from apcc_torch.sweeps.callback import Sweep
-from apcc_torch.sweeps.claim import held_folder
+from apcc_torch.sweeps.claim import held_folder, refusals
 from apcc_torch.sweeps.job import run_job
 
 log = logging.getLogger("apcc_torch.simulate")
@@ -61,7 +60,7 @@ def main() -> None:
     """Console entry point."""
     with held_folder(Sweep):
         try:
-            with refused_in_a_sentence(lambda said: sys.stderr.write(f"apcc_torch.simulate: {said}\n"), HydraException):
+            with refusals("simulate"):
                 check_words(sys.argv[1:], SimulateSettings, "simulate")
                 sys.argv[1:] = with_batch(arm_override(for_manual(sys.argv[1:], "experiment=kinematic")))
                 _hydra_main()

@@ -236,7 +236,7 @@ class APCCController(Part):
                 chain=chain,
                 dq_dpi=dq_dpi,
             )
-            pi_hat, memories = self._adapted(pi_hat, dt, step, memories)
+            pi_hat, memories = self._adapted(pi_hat, dt, step, memories, valid)
         y = self.tendons(q_d - self.reference_damping * qdot_bar, pi_hat)
         if self.pose_filter is not None and expected is not None:
             expected = self.pose_filter.moved(expected, self.backbone, inference.problem.points, q_bar, q_d - state.q_d)
@@ -270,7 +270,7 @@ class APCCController(Part):
         return self.inverse_kinematics(chain.tip_jacobian(), e, target.xdot_d.expand_as(e), q_bar, dt, bounds), None
 
     def _adapted(
-        self, pi_hat: Tensor, dt: Tensor, step: LawStep, memories: tuple[Memory, ...]
+        self, pi_hat: Tensor, dt: Tensor, step: LawStep, memories: tuple[Memory, ...], valid: Tensor
     ) -> tuple[Tensor, tuple[Memory, ...]]:
         """pi_hat (..., n_b) m after the step, and what the laws remember."""
         speed, later = None, []
@@ -282,7 +282,6 @@ class APCCController(Part):
         moved = pi_hat + dt.unsqueeze(-1) * speed
         # A step that is not finite is not taken: one bad measurement must not lose what was learnt. Nor is one where
         # there is no estimate to learn from.
-        valid = step.inference.feedback.status != int(FeedbackStatus.INVALID)
         moved = torch.where(torch.isfinite(moved) & valid.unsqueeze(-1), moved, pi_hat)
         if self.bounds is not None:
             metrics = (law.metric for law in self.laws)

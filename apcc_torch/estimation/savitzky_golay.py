@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from apcc_torch.errors import ShapeError, ValueRangeError
-from apcc_torch.part import Part, refuse_parameter
+from apcc_torch.part import Part, hold_rows, refuse_parameter
 from apcc_torch.settings import MANY, OURS, Settings, resolved, setting
 from apcc_torch.shapes import batch_shape, check_same, check_stamps, check_tensor, coarse_stamps
 
@@ -205,8 +205,7 @@ class SavitzkyGolay(Part):
         # A row's shorter window is the newest part of the longest one.
         age = torch.arange(self.length - 1, -1, -1)
         newest = age.to(window.device) < window.unsqueeze(-1) if isinstance(window, Tensor) else None
-        self.register_buffer("newest", newest, persistent=False)
-        self.__dict__.setdefault("trailing_dimensions", {})["newest"] = 1  # it differs by row as the window does
+        hold_rows(self, False, newest=(newest, 1))
         table = None
         if self.period is not None:
             # Row m of each table: coefficients while the buffer holds m samples.

@@ -262,16 +262,18 @@ def snapshots(log: DynamicLog, arms: Arms, row: int, count: int | None) -> Snaps
     )
 
 
-def draw(outcome: Outcome, folder: Path, name: str = "run") -> None:
+def draw(outcome: Outcome, folder: Path, name: str = "run", c: figures.RunCurves | None = None) -> None:
     """The paper's figures of one run, and a film of its last row.
 
     Args:
         outcome: The run.
         folder: Where they go.
         name: Of the run, in the legends.
+        c: Its `curves`, where they are there already.
     """
     thin = thinned(outcome.log)
-    c = curves(thin, outcome.arms)
+    if c is None:
+        c = curves(thin, outcome.arms)
     runs = {name: c}
     pictures: dict[str, Draw] = {
         "shape_error.png": lambda: figures.shape_error_figure(runs),
@@ -310,7 +312,7 @@ def run(config: SimulateSettings, folder: Path) -> dict[str, float]:
     values["wall_s"] = time.perf_counter() - started
     RunFolder(folder).write(values, arrays(outcome), config.seed)
     if config.figures:
-        draw(outcome, folder / "figures", name)
+        draw(outcome, folder / "figures", name, c)
     return values
 
 

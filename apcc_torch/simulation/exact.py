@@ -133,14 +133,4 @@ def simulate_exact(
     """
     pi, pi_hat = torch.broadcast_tensors(pi, pi_hat)
     loop = ExactLoop(controller, pi, trajectory, 1.0 / rate)
-    _, zero = example = loop.blank()
-    return run_loop(
-        loop,
-        loop.start(pi_hat),
-        example,
-        lambda k: (zero + k * loop.dt,),
-        round(duration * rate) + 1,
-        progress,
-        compile,
-        checkpointed,
-    )
+    return run_loop(loop, loop.start(pi_hat), round(duration * rate) + 1, progress, compile, checkpointed)

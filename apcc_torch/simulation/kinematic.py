@@ -213,37 +213,42 @@ def simulate_feedback(
     """
     pi, pi_hat = torch.broadcast_tensors(pi, pi_hat)
     loop = FeedbackLoop(controller, pi, trajectory, 1.0 / rate, sensors)
-    _, zero, _ = example = loop.blank()
     start = loop.start(pi_hat)
     poses = start.sensors.queue[..., 0, :, :, :]
-    return run_loop(
-        loop,
-        start,
-        example,
-        lambda k: (zero + k * loop.dt, loop.sensors.draw(poses, generator)),
-        round(duration * rate) + 1,
-        progress,
-        compile,
-        checkpointed,
-    )
+
+    def draws() -> tuple[Draws]:
+        return (loop.sensors.draw(poses, generator),)
+
+    return run_loop(loop, start, round(duration * rate) + 1, progress, compile, checkpointed, draws)
 
 
 def run_loop(
-    loop: Part,
+    loop: Any,
     now: Any,
-    example: tuple[Any, ...],
-    arguments: Callable[[int], tuple[Any, ...]],
     steps: int,
     progress: Progress,
     compile: str,
     checkpointed: bool,
+    further: Callable[[], tuple[Any, ...]] = tuple,
 ) -> KinematicLog:
-    """All steps of a loop from a state; `example` has the form of one row, `arguments` begin with the time."""
+    """All steps of an `ExactLoop` or a `FeedbackLoop` from a state.
+
+    Args:
+        loop: The loop.
+        now: Its state.
+        steps: How many.
+        progress, compile, checkpointed: See `simulate_feedback`.
+        further: Makes what a step is given besides the state and the time.
+    """
+    _, zero, *_ = example = loop.blank()
     step = compiled(loop, example, compile, now.q.shape[:-1].numel())
 
     def period(now: Any, *given: Any) -> tuple[Any, tuple[Tensor, ...]]:
         now, row = step(now, *given)
         return now, (given[0], *row)
+
+    def arguments(k: int) -> tuple[Any, ...]:
+        return zero + k * loop.dt, *further()
 
     _, fields = rollout(period, now, arguments, steps, checkpointed, progress)
     return KinematicLog(*fields)

@@ -5,14 +5,17 @@ from __future__ import annotations
 import logging
 import os
 import re
+import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import Any, ClassVar
 
+from hydra.errors import HydraException
 from hydra.experimental.callback import Callback
 from omegaconf import DictConfig, open_dict, read_write
 
+from apcc_torch.composition.schema import refused_in_a_sentence
 from apcc_torch.errors import ConfigError, one_sentence
 from apcc_torch.experiments.run import METRICS, PRUNED
 from apcc_torch.processes import stoppable
@@ -122,6 +125,11 @@ class Claim(Callback):
         else:
             folder = Claim.held.path.parent
             log.error("stopped by %s; what is in %s is not finished: run the same command again", by, folder)
+
+
+def refusals(program: str) -> AbstractContextManager[None]:
+    """See `refused_in_a_sentence`: what hydra or the package refuses, on standard error, in the program's name."""
+    return refused_in_a_sentence(lambda said: sys.stderr.write(f"apcc_torch.{program}: {said}\n"), HydraException)
 
 
 @contextmanager
