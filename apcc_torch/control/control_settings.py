@@ -15,6 +15,7 @@ from apcc_torch.control.task_integral import TaskIntegralSettings
 from apcc_torch.errors import ConfigError
 from apcc_torch.estimation.pose_filter import PoseFilterSettings
 from apcc_torch.estimation.savitzky_golay import SavitzkyGolaySettings
+from apcc_torch.estimation.shape_feedback import ShapeFeedbackSettings
 from apcc_torch.estimation.state_feedback import StateFeedbackSettings
 from apcc_torch.model.backbone import PCCBackbone
 from apcc_torch.model.kinematic_model import KinematicModel
@@ -61,6 +62,9 @@ class ControlSettings(Settings):
 
     model: Settings = setting(factory=PCCBackbone.settings_type, meaning="the kinematic model", base=KinematicModel)
     feedback: StateFeedbackSettings = setting(factory=StateFeedbackSettings, meaning="algorithm 2")
+    shape: ShapeFeedbackSettings | None = setting(
+        None, "", OURS, "q_bar from the arm's shape, where the controller is adaptive; null: from algorithm 2 alone"
+    )
     pose_filter: PoseFilterSettings | None = setting(
         None, "", OURS, "of the sensors' poses; null: as they are measured"
     )

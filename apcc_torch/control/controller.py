@@ -17,10 +17,12 @@ from apcc_torch.control.length_law import LawStep, LengthLaw, Memory
 from apcc_torch.control.step_io import Command, ControllerState, Measurement, Target, check_step, measured_tip
 from apcc_torch.control.task_integral import TaskIntegral
 from apcc_torch.control.tendon_limits import SolverStatus
-from apcc_torch.estimation.feedback import FeedbackStatus
+from apcc_torch.estimation.feedback import FeedbackStatus, Inference
 from apcc_torch.estimation.pose_filter import PoseFilter, PoseFilterState
 from apcc_torch.estimation.savitzky_golay import SavitzkyGolay
+from apcc_torch.estimation.shape_feedback import FollowedShape, ShapeFeedback
 from apcc_torch.estimation.state_feedback import StateFeedback
+from apcc_torch.lie import se3
 from apcc_torch.model.arm import Arm
 from apcc_torch.model.kinematic_model import KinematicModel, Placed
 from apcc_torch.model.tendons import TendonRouting
@@ -50,6 +52,7 @@ class APCCController(Part):
         routing: Tendons; None for no tendon command.
         pose_filter: Of the sensors' poses, before all that sees them but the tip's error; None for none.
         integral: Integral action beside K e of Eq. (14); None for none.
+        shape: Of q_bar where the controller is adaptive; None for algorithm 2.
 
     Raises:
         ConfigError, ValueRangeError: A setting is wrong or out of range.
@@ -83,6 +86,7 @@ class APCCController(Part):
         routing: TendonRouting | None = None,
         pose_filter: PoseFilter | None = None,
         integral: TaskIntegral | None = None,
+        shape: ShapeFeedback | None = None,
         **changes: Any,
     ) -> None:
         super().__init__()
@@ -95,6 +99,7 @@ class APCCController(Part):
         self.bounds = bounds
         self.pose_filter = pose_filter
         self.integral = integral
+        self.shape = shape if s.adaptive else None
         self.routing = routing
         self.hold(s)
 
@@ -128,6 +133,7 @@ class APCCController(Part):
             routing=arm.routing(),
             pose_filter=None if control.pose_filter is None else PoseFilter(control.pose_filter),
             integral=None if control.integral is None else TaskIntegral(control.integral),
+            shape=None if control.shape is None else ShapeFeedback.on(arm, backbone, control.shape),
             **parts,
         )
 
@@ -164,7 +170,8 @@ class APCCController(Part):
         poses = self.pose_filter
         expected = None if poses is None else poses.initial_state(q, self.feedback.abscissae.shape[-1])
         integral = None if self.integral is None else still[..., :3]
-        return ControllerState(q, still, pi_hat, q, still, filtered, stamp, memories, expected, integral)
+        shape = None if self.shape is None else self.shape.initial_state(q, pi_hat)
+        return ControllerState(q, still, pi_hat, q, still, filtered, stamp, memories, expected, integral, shape)
 
     def forward(
         self, state: ControllerState, measurement: Measurement, target: Target
@@ -186,7 +193,7 @@ class APCCController(Part):
         pi_hat = state.pi_hat
         dt = (measurement.time - state.time).clamp(0.0, self.integration_limit).to(pi_hat.dtype)
         expected, T = self._filtered(state, measurement, dt)
-        inference = self.feedback.infer(state.q_bar, pi_hat, T, measurement.mask, measurement.angular_mask)
+        shape, inference = self._inferred(state, measurement, T, dt)
         q_bar, valid = inference.feedback.q_bar, inference.feedback.status != int(FeedbackStatus.INVALID)
         filtered, qdot_bar = self.velocity_filter(state.velocity_filter, q_bar, measurement.time)
 
@@ -241,8 +248,28 @@ class APCCController(Part):
         if self.pose_filter is not None and expected is not None:
             expected = self.pose_filter.moved(expected, self.backbone, inference.problem.points, q_bar, q_d - state.q_d)
         stamp = measurement.time.expand_as(dt)
-        later = ControllerState(q_bar, qdot_bar, pi_hat, q_d, qdot, filtered, stamp, memories, expected, integral)
+        later = ControllerState(q_bar, qdot_bar, pi_hat, q_d, qdot, filtered, stamp, memories, expected, integral, shape)
         return later, Command(qdot, q_d, y, e, inference.feedback, limits)
+
+    def _inferred(
+        self, state: ControllerState, measurement: Measurement, T: Tensor, dt: Tensor
+    ) -> tuple[FollowedShape | None, Inference]:
+        """What is known of the shape, and q_bar with what the sensors say of it."""
+        masks = measurement.mask, measurement.angular_mask
+        if self.shape is None or state.shape is None:
+            return None, self.feedback.infer(state.q_bar, state.pi_hat, T, *masks)
+        q = state.q_bar
+        pi_hat, problem = self.feedback.problem(q.shape[:-1], state.pi_hat, T, *masks)
+        batch = pi_hat.shape[:-1]
+        y = measurement.tendons
+        if y is None:
+            y = self.tendons(state.q_d, state.pi_hat)
+        y = None if y is None else y.expand(*batch, y.shape[-1])
+        q = q.expand(*batch, q.shape[-1])
+        T = se3.pose(problem.rotation, problem.position)
+        oriented = torch.zeros_like(problem.oriented) if self.feedback.mode == "position" else problem.oriented
+        shape, q_bar = self.shape(state.shape, q, pi_hat, T, problem.usable, oriented, y, dt.expand(batch))
+        return shape, self.feedback.judged(q_bar, pi_hat, problem)
 
     def _filtered(
         self, state: ControllerState, measurement: Measurement, dt: Tensor

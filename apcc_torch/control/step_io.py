@@ -12,6 +12,7 @@ from apcc_torch.control.tasks import TaskTarget
 from apcc_torch.estimation.feedback import Feedback
 from apcc_torch.estimation.pose_filter import PoseFilterState
 from apcc_torch.estimation.savitzky_golay import SavitzkyGolayState
+from apcc_torch.estimation.shape_feedback import FollowedShape
 from apcc_torch.shapes import batch_shape, check_same, check_tensor
 
 
@@ -24,6 +25,8 @@ class Measurement(NamedTuple):
     angular_mask: (..., k) bool, False for an orientation to leave out; None for `mask`.
     tip: (..., 3) measured end-effector position, m; None to take the last sensor's.
     forces: (..., n_a) tendon forces u at the stamp, N, tension is -u; None where they are not measured.
+    tendons: (..., n_a) tendon length changes at the stamp, m, NaN where one is not known; None to take those that the
+        last command asked for.
     """
 
     T: Tensor
@@ -32,6 +35,7 @@ class Measurement(NamedTuple):
     angular_mask: Tensor | None = None
     tip: Tensor | None = None
     forces: Tensor | None = None
+    tendons: Tensor | None = None
 
 
 class Target(NamedTuple):
@@ -82,6 +86,7 @@ class ControllerState(NamedTuple):
     memories: What each law remembers, in their order.
     expected: Where a `PoseFilter` expects the sensors; None without one.
     integral: (..., 3) z of a `TaskIntegral`, m; None without one.
+    shape: What a `ShapeFeedback` knows; None without one.
     """
 
     q_bar: Tensor
@@ -94,6 +99,7 @@ class ControllerState(NamedTuple):
     memories: tuple[Memory, ...] = ()
     expected: PoseFilterState | None = None
     integral: Tensor | None = None
+    shape: FollowedShape | None = None
 
 
 def check_step(state: ControllerState, measurement: Measurement, target: Target, k: int) -> torch.Size:

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from apcc_torch.errors import DtypeError, ShapeError, ValueRangeError
 from apcc_torch.estimation.feedback import Feedback, FeedbackStatus, Inference
-from apcc_torch.estimation.fit import Problem
+from apcc_torch.estimation.fit import Problem, evaluate
 from apcc_torch.estimation.implicit import attached
 from apcc_torch.estimation.iteration import Rules, far_off, iterate, unseen
 from apcc_torch.estimation.step import Residual, damped_step, row_weights
@@ -183,16 +183,29 @@ class StateFeedback(Part):
         angular_mask: Tensor | None = None,
     ) -> Inference:
         """`forward`, with what it knows at its end; only the masks are checked here."""
+        pi_hat, problem = self.problem(q_seed.shape[:-1], pi_hat, T, mask, angular_mask)
+        q_seed = q_seed.expand(*pi_hat.shape[:-1], q_seed.shape[-1])
+        return Inference(self._infer(q_seed, pi_hat, problem), pi_hat, problem)
+
+    def problem(
+        self,
+        batch: torch.Size,
+        pi_hat: Tensor,
+        T: Tensor,
+        mask: Tensor | None = None,
+        angular_mask: Tensor | None = None,
+    ) -> tuple[Tensor, Problem]:
+        """pi_hat and what is to be fitted, both of the leading shape that `batch` has with the arguments of `infer`."""
         usable, oriented = self.used(T, mask, angular_mask)
-        batch, *others = q_seed.shape[:-1], pi_hat.shape[:-1], oriented.shape[:-1]
+        others = pi_hat.shape[:-1], oriented.shape[:-1]
         if any(shape != batch for shape in others):
             batch = torch.broadcast_shapes(batch, *others)
-        usable, oriented, pi_hat, q_seed = (v.expand(*batch, v.shape[-1]) for v in (usable, oriented, pi_hat, q_seed))
+        usable, oriented, pi_hat = (v.expand(*batch, v.shape[-1]) for v in (usable, oriented, pi_hat))
         lengths = (pi_hat > 0.0).all(-1, keepdim=True)  # of no length there is nothing to bend
         usable, oriented = usable & lengths, oriented & lengths
         # What is left out is measured where the model has it: it pulls nowhere, and nothing non-finite enters.
         T = torch.where(usable[..., None, None], T, 0.0)
-        problem = Problem(
+        return pi_hat, Problem(
             T[..., :3, :3],
             T[..., :3, 3],
             self.backbone.material_points(pi_hat, *located(self._abscissae(pi_hat).expand_as(usable), pi_hat)),
@@ -200,7 +213,19 @@ class StateFeedback(Part):
             oriented,
             self._weights(usable, oriented, pi_hat.dtype),
         )
-        return Inference(self._infer(q_seed, pi_hat, problem), pi_hat, problem)
+
+    def judged(self, q_bar: Tensor, pi_hat: Tensor, problem: Problem) -> Inference:
+        """What the sensors say of a q_bar (..., n) from elsewhere: CONVERGED within both thresholds, else SETTLED."""
+        fit = evaluate(self.backbone, self.mode, q_bar, problem)
+        angular, linear = fit.errors()
+        within = (linear < aligned(self.linear_threshold, 1)) & (angular < aligned(self.angular_threshold, 1))
+        valid = problem.usable.any(-1) & torch.isfinite(q_bar).all(-1)
+        status = torch.full_like(valid, int(FeedbackStatus.SETTLED), dtype=torch.int64)
+        status = status.masked_fill(within.all(-1), int(FeedbackStatus.CONVERGED))
+        status = status.masked_fill(far_off(fit, problem), int(FeedbackStatus.MISFIT))
+        status = status.masked_fill(~valid, int(FeedbackStatus.INVALID))
+        once = torch.ones_like(status)
+        return Inference(Feedback(q_bar, angular, linear, once, status, unseen(fit, problem)), pi_hat, problem)
 
     def used(self, T: Tensor, mask: Tensor | None = None, angular_mask: Tensor | None = None) -> tuple[Tensor, Tensor]:
         """Which sensors, and which orientations, count: two bool (..., k). Arguments as `forward`.

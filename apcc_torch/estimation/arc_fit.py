@@ -1,0 +1,109 @@
+"""The model's configuration that runs along an estimated shape: arcs fitted to a curve, their lengths free."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from apcc_torch.linalg import solve_spd
+from apcc_torch.model.abscissae import located
+from apcc_torch.model.kinematic_model import KinematicModel
+from apcc_torch.part import Part, hold_rows
+from apcc_torch.settings import OURS, Setting, Settings, aligned, resolved, setting
+from apcc_torch.shapes import check_finite, check_tensor
+
+DAMPING = 1e-3
+"""Of a step, over the diagonal of its normal matrix."""
+LARGEST_STEP = 0.3
+"""Largest change of a coordinate in one step, rad and m."""
+SHORTEST = 0.05
+"""Of its nominal length, the least that an arc keeps."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ArcFitSettings(Settings):
+    """Settings of `ArcFit`."""
+
+    curve_noise: Setting = setting(
+        4e-4, "m", OURS, "how well the shape is known, a standard deviation", rows="number", above=0
+    )
+    length_prior: Setting = setting(
+        0.2, "", OURS, "how well a section's length is, over itself, likewise", rows="number", above=0
+    )
+
+
+class ArcFit(Part):
+    """Fits a model to points of a curve: sections l_i = pi_i + dL_i whose lengths are drawn to the nominal ones,
+
+        V(q) = sum |across_j|^2 / (N sigma^2) + sum ((l_i - L_i) / (rho L_i))^2,
+
+    across_j the N points' distances from the model across its backbone, and at the tip the whole distance. A point
+    belongs to the model's point that lies as far along it, so how the curve is stretched does not matter. l alone
+    counts: how much of it is rest length and how much elongation, shape does not tell.
+
+    Args:
+        backbone: The model.
+        nominal: (..., n_b) L, m.
+        *settings, **changes: See `ArcFitSettings`.
+
+    Raises:
+        ValueRangeError: A setting is out of range.
+
+    Example:
+        >>> backbone, L0 = PCCBackbone(1), torch.tensor([0.2]).double()
+        >>> q, share = torch.tensor([0.4, 0.0, 0.0]).double(), torch.linspace(0.25, 1.0, 4).double()
+        >>> points = backbone.points(q, L0, 5)[1:]
+        >>> fit, found = ArcFit(backbone, L0), torch.zeros(3).double()
+        >>> for _ in range(5):
+        ...     found = fit(found, L0, points, share)
+        >>> found.round(decimals=3) + 0.0
+        tensor([0.4000, 0.0000, 0.0000], dtype=torch.float64)
+    """
+
+    settings_type = ArcFitSettings
+    nominal: Tensor
+    curve_noise: Setting
+    length_prior: Setting
+
+    def __init__(self, backbone: KinematicModel, nominal: Tensor, *settings: Any, **changes: Any) -> None:
+        super().__init__()
+        check_finite("nominal", check_tensor("nominal", nominal, (None,)))
+        self.backbone = backbone
+        hold_rows(self, nominal=(nominal, 1))
+        self.hold(resolved(ArcFitSettings, settings, changes))
+
+    def forward(self, q: Tensor, pi_hat: Tensor, points: Tensor, share: Tensor) -> Tensor:
+        """One Gauss-Newton step: q (..., n) nearer to the points; unchecked, of one leading shape.
+
+        Args:
+            q: (..., n) the last fit.
+            pi_hat: (..., n_b) rest lengths, m.
+            points: (..., N, 3) of the curve, m, the last one its tip.
+            share: (..., N) how far along the curve each point is, over its length.
+        """
+        backbone, places = self.backbone, self.backbone.coordinates.elongations
+        nominal = self.nominal.to(q)
+        lengths = torch.maximum(backbone.section_lengths(q, pi_hat), SHORTEST * nominal)
+        at = backbone.material_points(pi_hat, *located(share * lengths.sum(-1, keepdim=True), lengths))
+        chain = backbone.chain_to(q, at)
+        N = share.shape[-1]
+        # In a point's own axes the backbone runs along z.
+        one = torch.ones_like(points[..., :1])
+        along = torch.cat((torch.zeros_like(one[..., 1:, :]), one[..., :1, :]), dim=-2)
+        across = torch.cat((one, one, along), dim=-1) / (aligned(self.curve_noise, 2) * N**0.5)
+        r = ((chain.rotation.mT @ (points - chain.tip).unsqueeze(-1)).squeeze(-1) * across).flatten(-2)
+        J = (chain.body_jacobian()[..., 3:, :] * across.unsqueeze(-1)).flatten(-3, -2)
+        scale = (aligned(self.length_prior, 1) * nominal).reciprocal().square().expand_as(pi_hat)
+        away = (nominal - pi_hat - q[..., places]) * scale
+        H = J.mT @ J + torch.diag_embed(backbone.coordinates.on_elongations(scale))
+        H = H + DAMPING * torch.diag_embed(H.diagonal(dim1=-2, dim2=-1))
+        g = (J.mT @ r.unsqueeze(-1)).squeeze(-1) + backbone.coordinates.on_elongations(away)
+        step = solve_spd(H, g.unsqueeze(-1)).squeeze(-1)
+        step = step / (step.abs().amax(-1, keepdim=True) / LARGEST_STEP).clamp(min=1.0)
+        moved = q + torch.where(torch.isfinite(step).all(-1, keepdim=True), step, 0.0)
+        lowest = backbone.coordinates.on_elongations(SHORTEST * nominal - pi_hat)
+        bounded = backbone.coordinates.on_elongations(torch.ones_like(pi_hat)) > 0.0
+        return torch.where(bounded, torch.maximum(moved, lowest), moved)

@@ -1,0 +1,252 @@
+"""The arm's shape from poses, tendon lengths and mechanics: what lies between the sensors is what the load makes of it.
+
+The arm is divided finer than the model. Tendons bend and stretch a section evenly; gravity and the load at the tip do
+not. With S spreading a section's strains over its pieces, P = I - S S^+ and K, G of the finer arm, its configuration is
+
+    q_f = S c - P K^-1 (G_0(q_f) + m G_1(q_f)),
+
+c (..., n) the strains of the sections and m the load at the tip, kg: at rest P (K q_f + G) = 0, for tendons pull on
+all pieces of a section alike. (c, m) is the maximum a posteriori of sensor poses, tendon lengths y = B_f^T q_f, wide
+priors on c, and a load that changes slowly.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple, Self
+
+import torch
+from torch import Tensor
+
+from apcc_torch.errors import ConfigError
+from apcc_torch.lie import so3
+from apcc_torch.linalg import solve_spd
+from apcc_torch.model.abscissae import MaterialPoints, located
+from apcc_torch.model.arm import Arm
+from apcc_torch.model.backbone import PCCBackbone
+from apcc_torch.model.dynamics import SoftArmDynamics
+from apcc_torch.model.tendons import TendonRouting
+from apcc_torch.part import Part, hold_rows
+from apcc_torch.settings import OURS, Setting, Settings, aligned, resolved, setting
+
+LARGEST_SHARE = 0.3
+"""How much of the sag is renewed in one step at most: where gravity is strong beside the arm's stiffness, more would
+overshoot, and the next step too."""
+LARGEST_STEP = 0.3
+"""Largest change of a section's strain in one step, rad and m."""
+
+
+class ShapeState(NamedTuple):
+    """What is known of the arm's shape.
+
+    strain: (..., n) c, the sections' bends, rad, and elongations, m.
+    load: (...) m at the tip, kg. variance: (...) of it, kg^2.
+    sag: (..., 2, n_f) of the pieces' strains, by the arm's own weight and by each kg at the tip.
+    """
+
+    strain: Tensor
+    load: Tensor
+    variance: Tensor
+    sag: Tensor
+
+
+@dataclass(frozen=True, kw_only=True)
+class LoadedShapeSettings(Settings):
+    """Settings of `LoadedShape`: standard deviations, of what a lab can measure or look up."""
+
+    position_noise: Setting = setting(
+        1e-3, "m", OURS, "of a sensor's coordinates, and of what mechanics leaves unexplained", rows="number", above=0
+    )
+    angular_noise: Setting = setting(0.02, "rad", OURS, "of a sensor's orientation, likewise", rows="number", above=0)
+    tendon_noise: Setting = setting(
+        2e-3, "m", OURS, "of a tendon's length change, with slack and compliance", rows="number", above=0
+    )
+    bend: Setting = setting(3.0, "rad", OURS, "of a section's bend, before it is measured", rows="number", above=0)
+    elongation: Setting = setting(
+        0.25, "", OURS, "of a section's elongation over its rest length, likewise", rows="number", above=0
+    )
+    load: Setting = setting(
+        0.5, "", OURS, "of the load at the tip over the arm's mass, before it is felt", rows="number", above=0
+    )
+    load_rate: Setting = setting(
+        0.3, "1/sqrt(s)", OURS, "how fast that load may change, over the arm's mass", rows="number", above=0
+    )
+    sag_time: Setting = setting(
+        0.05, "s", OURS, "in which the sag follows the shape that it hangs from", rows="number", above=0
+    )
+    refine: int = setting(2, "", OURS, "pieces of each section", least=2, most=20)
+
+
+class LoadedShape(Part):
+    """Estimates an arm's shape under an unknown load; see the module's head.
+
+    One Gauss-Newton step a sample: the state is the seed of the next. Directions that neither sensors nor tendons tell
+    stay with the priors, so fewer sensors than sections are an ordinary case.
+
+    Args:
+        dynamics: The arm as it is believed to be, each section divided into `refine` equal pieces.
+        routing: Its tendons.
+        abscissae: (..., k) of the sensors, m.
+        *settings, **changes: See `LoadedShapeSettings`.
+
+    Raises:
+        ConfigError: The number of the arm's pieces is no multiple of `refine`.
+        ValueRangeError: A setting is out of range.
+
+    Example:
+        >>> arm = Arm(lengths=[0.2, 0.25], mass=0.4)
+        >>> shape = LoadedShape.on(arm, LoadedShapeSettings())
+        >>> state = shape.initial_state(torch.zeros(6).double())
+        >>> shape.configuration(state).shape, float(state.load)
+        (torch.Size([12]), 0.0)
+    """
+
+    settings_type = LoadedShapeSettings
+    abscissae: Tensor
+    B: Tensor
+    position_noise: Setting
+    angular_noise: Setting
+    tendon_noise: Setting
+    bend: Setting
+    elongation: Setting
+    load: Setting
+    load_rate: Setting
+    sag_time: Setting
+    refine: int
+
+    def __init__(
+        self, dynamics: SoftArmDynamics, routing: TendonRouting, abscissae: Tensor, *settings: Any, **changes: Any
+    ) -> None:
+        super().__init__()
+        s = resolved(LoadedShapeSettings, settings, changes)
+        if dynamics.n_sections % s.refine:
+            raise ConfigError(f"dynamics must have {s.refine} pieces a section, got {dynamics.n_sections} pieces")
+        self.dynamics = dynamics
+        self.backbone = PCCBackbone(dynamics.n_sections, dynamics.base_rotation)
+        self.n_sections = dynamics.n_sections // s.refine
+        hold_rows(self, abscissae=(abscissae, 1), B=(routing.matrix(dynamics.lengths), 2))
+        self.hold(s)
+
+    @classmethod
+    def on(cls, arm: Arm, settings: LoadedShapeSettings) -> Self:
+        """The estimator of an arm as it is believed to be."""
+        return cls(arm.dynamics(settings.refine), arm.routing(), arm.sensor_places(), settings)
+
+    def initial_state(self, strain: Tensor) -> ShapeState:
+        """Sections of strain (..., n), of which nothing is known yet.
+
+        Args:
+            strain: (..., n) bends and elongations of the sections, as a `PCCBackbone` has them.
+        """
+        load = torch.zeros_like(strain[..., 0])
+        sag = torch.zeros_like(self._spread(strain))
+        mass = self._mass(strain)
+        return ShapeState(strain, load, (aligned(self.load, 0) * mass).square().expand_as(load), torch.stack((sag, sag), -2))
+
+    def configuration(self, state: ShapeState) -> Tensor:
+        """q_f (..., n_f) of the arm's pieces: rad, rad, m."""
+        return self._spread(state.strain) + self._sag(state)
+
+    def forward(
+        self, state: ShapeState, T: Tensor, usable: Tensor, oriented: Tensor, y: Tensor | None, dt: Tensor
+    ) -> ShapeState:
+        """One step; unchecked, of one leading shape.
+
+        Args:
+            state: From `initial_state` or the last step.
+            T: (..., k, 4, 4) sensor poses, finite where they count.
+            usable, oriented: (..., k) bool, positions and orientations that count.
+            y: (..., n_a) tendon length changes, m, not finite where unknown; None where none is known.
+            dt: (...) s since the last step.
+        """
+        sag = self._renewed(state, dt)
+        state = state._replace(sag=sag)
+        r, J = self._residual(state, T, usable, oriented, y)
+        mass = self._mass(r)
+        walked = state.variance + (aligned(self.load_rate, 0) * mass).square() * dt
+        prior = (aligned(self.load, 0) * mass).square().reciprocal()
+        deviation = self._deviation(state.strain)
+        weight = torch.cat((deviation.square().reciprocal(), (walked.reciprocal() + prior).unsqueeze(-1)), dim=-1)
+        pull = torch.cat((state.strain / deviation.square(), (prior * state.load).unsqueeze(-1)), dim=-1)
+        H = J.mT @ J + torch.diag_embed(weight)
+        last = torch.cat((torch.zeros_like(state.strain), torch.ones_like(state.load).unsqueeze(-1)), dim=-1)
+        solved = solve_spd(H, torch.stack(((J.mT @ r.unsqueeze(-1)).squeeze(-1) - pull, last), dim=-1))
+        step = solved[..., 0]
+        step = step / (step[..., :-1].abs().amax(-1, keepdim=True) / LARGEST_STEP).clamp(min=1.0)
+        moved = ShapeState(
+            state.strain + step[..., :-1],
+            (state.load + step[..., -1]).clamp(min=0.0),
+            solved[..., -1, 1],
+            sag,
+        )
+        finite = torch.isfinite(step).all(-1)
+        return ShapeState(*(torch.where(finite[(..., *(None,) * (new.dim() - finite.dim()))], new, old)
+                            for new, old in zip(moved, state, strict=True)))
+
+    def _spread(self, strain: Tensor) -> Tensor:
+        """S c: each piece takes an equal part of its section's strain (..., n_f)."""
+        return (strain.unflatten(-1, (-1, 1, 3)) / self.refine).expand(*strain.shape[:-1], -1, self.refine, 3).flatten(-3)
+
+    def _gathered(self, J: Tensor) -> Tensor:
+        """J S (..., n) of J (..., n_f)."""
+        return J.unflatten(-1, (-1, self.refine, 3)).mean(-2).flatten(-2)
+
+    def _mass(self, like: Tensor) -> Tensor:
+        return self.dynamics.masses.to(like).sum(-1)
+
+    def _deviation(self, strain: Tensor) -> Tensor:
+        """(..., n) of a section's strain before it is measured."""
+        length = self.dynamics.lengths.to(strain).unflatten(-1, (-1, self.refine)).sum(-1)
+        bend = torch.ones_like(length) * aligned(self.bend, 1)
+        return torch.stack((bend, bend, aligned(self.elongation, 1) * length), dim=-1).flatten(-2).expand_as(strain)
+
+    def _sag(self, state: ShapeState) -> Tensor:
+        own, each = state.sag.unbind(-2)
+        return own + state.load.unsqueeze(-1) * each
+
+    def _renewed(self, state: ShapeState, dt: Tensor) -> Tensor:
+        """The sag (..., 2, n_f) after a step: a share of the way to -P K^-1 G at the last shape."""
+        q, none = self.configuration(state), torch.zeros_like(state.load)
+        weight = self.dynamics.static_load(q, none)
+        each = self.dynamics.static_load(q, none + 1.0) - weight
+        strain = -torch.stack((weight, each), dim=-2) / self.dynamics.stiffness_diagonal.to(q).unsqueeze(-2)
+        pieces = strain.unflatten(-1, (-1, self.refine, 3))
+        own = (pieces - pieces.mean(-2, keepdim=True)).flatten(-3)  # P
+        share = (1.0 - torch.exp(-dt / aligned(self.sag_time, 0))).clamp(max=LARGEST_SHARE)
+        return state.sag + share[..., None, None] * (own - state.sag)
+
+    def _residual(
+        self, state: ShapeState, T: Tensor, usable: Tensor, oriented: Tensor, y: Tensor | None
+    ) -> tuple[Tensor, Tensor]:
+        """What the measurements leave (..., m), over its standard deviation, and its derivative (..., m, n + 1)."""
+        q = self.configuration(state)
+        chain = self.backbone.chain_to(q, self.points(q))
+        into_body = chain.rotation.mT
+        offset = torch.where(usable.unsqueeze(-1), T[..., :3, 3] - chain.tip, 0.0)
+        turn = into_body @ torch.where(oriented[..., None, None], T[..., :3, :3], chain.rotation)
+        linear, angular = (into_body @ offset.unsqueeze(-1)).squeeze(-1), so3.log(turn)
+        body = chain.body_jacobian()
+        body = torch.cat((self._gathered(body), body @ state.sag[..., None, 1, :, None]), dim=-1)
+        weights = (oriented.to(q) / aligned(self.angular_noise, 1), usable.to(q) / aligned(self.position_noise, 1))
+        weight = torch.stack(weights, dim=-1).unsqueeze(-1).expand(*usable.shape, 2, 3).flatten(-2)
+        r = (torch.cat((angular, linear), dim=-1) * weight).flatten(-2)
+        J = (body * weight.unsqueeze(-1)).flatten(-3, -2)
+        if y is None:
+            return r, J
+        B = self.B.to(q)
+        off = y - (B.mT @ q.unsqueeze(-1)).squeeze(-1)
+        known = torch.isfinite(off)
+        scale = known.to(q) / aligned(self.tendon_noise, 1)
+        each = (B.mT @ state.sag[..., 1, :, None])
+        row = torch.cat((self._gathered(B.mT).expand(*each.shape[:-1], -1), each), dim=-1)
+        return (
+            torch.cat((r, torch.where(known, off, 0.0) * scale), dim=-1),
+            torch.cat((J, row * scale.unsqueeze(-1)), dim=-2),
+        )
+
+    def points(self, like: Tensor) -> MaterialPoints:
+        """The sensors on the arm's pieces, of the leading shape of `like`."""
+        lengths = self.dynamics.lengths.to(like)
+        lengths = lengths.expand(*like.shape[:-1], lengths.shape[-1])
+        X = self.abscissae.to(like)
+        return self.backbone.material_points(lengths, *located(X.expand(*like.shape[:-1], X.shape[-1]), lengths))

@@ -1,0 +1,118 @@
+"""State feedback through the arm's shape: estimated with mechanics, and followed by the model."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple, Self
+
+import torch
+from torch import Tensor
+
+from apcc_torch.estimation.arc_fit import ArcFit, ArcFitSettings
+from apcc_torch.estimation.loaded_shape import LoadedShape, LoadedShapeSettings, ShapeState
+from apcc_torch.model.arm import Arm
+from apcc_torch.model.kinematic_model import KinematicModel
+from apcc_torch.part import Part
+
+SAMPLES = 2
+"""Points on each piece of the arm that the model is fitted to."""
+
+
+class FollowedShape(NamedTuple):
+    """What is known of the shape, and what the model made of it.
+
+    shape: Of the arm. lengths: (..., n_b) of the model's sections as they were, rest length and elongation, m.
+    """
+
+    shape: ShapeState
+    lengths: Tensor
+
+
+@dataclass(frozen=True, kw_only=True)
+class ShapeFeedbackSettings(LoadedShapeSettings, ArcFitSettings):
+    """Settings of `ShapeFeedback`: those of `LoadedShape` and of `ArcFit`."""
+
+
+class ShapeFeedback(Part):
+    """q_bar of the model that runs along the shape of a `LoadedShape`, in place of algorithm 2's.
+
+    Algorithm 2 meets the sensors, whatever lies between them. Here the shape between them is known first, from
+    mechanics, and the model follows all of it.
+
+    Args:
+        shape: Of the arm.
+        fit: Of the model to it.
+
+    Example:
+        >>> arm = Arm(lengths=[0.2, 0.25], mass=0.4)
+        >>> feedback = ShapeFeedback.on(arm, arm.backbone(), ShapeFeedbackSettings())
+        >>> q, L0 = torch.zeros(6).double(), arm.rest_lengths()
+        >>> T, all_of_them = arm.backbone().pose(q, L0, *decouple(L0.cumsum(0), L0)), torch.ones(2).bool()
+        >>> dt, state = torch.tensor(0.01).double(), feedback.initial_state(q, L0)
+        >>> state, q_bar = feedback(state, q, L0, T, all_of_them, all_of_them, None, dt)
+        >>> q_bar.shape
+        torch.Size([6])
+    """
+
+    def __init__(self, shape: LoadedShape, fit: ArcFit) -> None:
+        super().__init__()
+        self.shape = shape
+        self.fit = fit
+
+    @classmethod
+    def on(cls, arm: Arm, backbone: KinematicModel, settings: ShapeFeedbackSettings) -> Self:
+        """The feedback of an arm as it is believed to be, with a model of its sections."""
+        return cls(LoadedShape.on(arm, settings), ArcFit(backbone, arm.rest_lengths().clone(), settings))
+
+    def initial_state(self, q: Tensor, pi_hat: Tensor) -> FollowedShape:
+        """A shape of which the model's configuration q (..., n) and rest lengths pi_hat (..., n_b) are the first guess."""
+        backbone = self.fit.backbone
+        bends, nominal = backbone.coordinates.bends(q), self.fit.nominal.to(q)
+        lengths = pi_hat + q[..., backbone.coordinates.elongations]
+        strain = torch.cat((bends, (lengths - nominal).unsqueeze(-1)), dim=-1).flatten(-2)
+        return FollowedShape(self.shape.initial_state(strain), lengths)
+
+    def forward(
+        self,
+        state: FollowedShape,
+        q_bar: Tensor,
+        pi_hat: Tensor,
+        T: Tensor,
+        usable: Tensor,
+        oriented: Tensor,
+        y: Tensor | None,
+        dt: Tensor,
+    ) -> tuple[FollowedShape, Tensor]:
+        """One step; unchecked, of one leading shape.
+
+        Args:
+            state: From `initial_state` or the last step.
+            q_bar: (..., n) the last one.
+            pi_hat: (..., n_b) rest lengths now, m.
+            T, usable, oriented, y, dt: As `LoadedShape.forward` has them.
+
+        Returns:
+            The next state, and q_bar (..., n).
+        """
+        shape = self.shape(state.shape, T, usable, oriented, y, dt)
+        points, share = self.curve(shape)
+        coordinates = self.fit.backbone.coordinates
+        elongation = coordinates.on_elongations(state.lengths - pi_hat)  # rest lengths may have moved since
+        stretches = coordinates.on_elongations(torch.ones_like(pi_hat)) > 0.0
+        q_bar = self.fit(torch.where(stretches, elongation, q_bar), pi_hat, points, share)
+        return FollowedShape(shape, pi_hat + q_bar[..., coordinates.elongations]), q_bar
+
+    def curve(self, state: ShapeState) -> tuple[Tensor, Tensor]:
+        """Points (..., N, 3) on the arm, m, `SAMPLES` on each of its pieces, and their shares of its length (..., N)."""
+        q, arm = self.shape.configuration(state), self.shape.backbone
+        rest = self.shape.dynamics.lengths.to(q)
+        rest = rest.expand(*q.shape[:-1], rest.shape[-1])
+        part = torch.arange(1, SAMPLES + 1, device=q.device, dtype=q.dtype) / SAMPLES
+        X_tilde = part.repeat(arm.n_sections).expand(*q.shape[:-1], -1)
+        piece = torch.arange(arm.n_sections, device=q.device).unsqueeze(-1).expand(-1, SAMPLES).flatten()
+        piece = piece.expand(X_tilde.shape)
+        chain = arm.chain_to(q, arm.material_points(rest, X_tilde, piece))
+        lengths = arm.section_lengths(q, rest)
+        along = lengths.cumsum(-1)
+        share = (along - lengths).unsqueeze(-1) + lengths.unsqueeze(-1) * part
+        return chain.tip, share.flatten(-2) / along[..., -1:]
