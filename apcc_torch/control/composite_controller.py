@@ -138,6 +138,8 @@ class CompositeController(Part):
         s = resolved(type(self).settings_type, settings, changes)
         if kinematic.routing is None:
             raise ConfigError("a controller with a model of the dynamics needs a tendon routing")
+        if kinematic.shape is not None:
+            raise ConfigError("a feed-forward of the dynamics learns at q_bar of algorithm 2: it needs shape=none")
         if not isinstance(kinematic.backbone, PCCBackbone):
             raise ConfigError("a feed-forward of the dynamics needs a model of constant-curvature sections, model=pcc")
         self.kinematic = kinematic

@@ -17,6 +17,7 @@ from apcc_torch.control.length_law import LawStep, LengthLaw, Memory
 from apcc_torch.control.step_io import Command, ControllerState, Measurement, Target, check_step, measured_tip
 from apcc_torch.control.task_integral import TaskIntegral
 from apcc_torch.control.tendon_limits import SolverStatus
+from apcc_torch.errors import ConfigError
 from apcc_torch.estimation.feedback import FeedbackStatus, Inference
 from apcc_torch.estimation.pose_filter import PoseFilter, PoseFilterState
 from apcc_torch.estimation.savitzky_golay import SavitzkyGolay
@@ -100,6 +101,8 @@ class APCCController(Part):
         self.pose_filter = pose_filter
         self.integral = integral
         self.shape = shape if s.adaptive else None
+        if self.shape is not None and any(law.needs_sensitivity for law in self.laws):
+            raise ConfigError("a law along the derivative of algorithm 2's q_bar, as Eq. (15) here, needs shape=none")
         self.routing = routing
         self.hold(s)
 
@@ -171,7 +174,8 @@ class APCCController(Part):
         expected = None if poses is None else poses.initial_state(q, self.feedback.abscissae.shape[-1])
         integral = None if self.integral is None else still[..., :3]
         shape = None if self.shape is None else self.shape.initial_state(q, pi_hat)
-        return ControllerState(q, still, pi_hat, q, still, filtered, stamp, memories, expected, integral, shape)
+        q_d = q if self.shape is None or shape is None else self.shape.strain(shape)
+        return ControllerState(q, still, pi_hat, q_d, still, filtered, stamp, memories, expected, integral, shape)
 
     def forward(
         self, state: ControllerState, measurement: Measurement, target: Target
@@ -212,7 +216,8 @@ class APCCController(Part):
             integral = self.integral(integral, e_seen, dt)
         wanted = e if integral is None else e + integral
         bounds = self._rate_bounds(state.q_d, dt)
-        qdot, limits = self._solve(state, measurement, target, q_bar, chain, wanted, dt, bounds)
+        driven = self._driven(q_bar, pi_hat, chain, shape, batch)
+        qdot, limits = self._solve(state, measurement, target, *driven, wanted, dt, bounds)
         # Where nothing is known of the arm, or of the target, it is told to stay.
         aimed = torch.isfinite(qdot).all(-1) & torch.isfinite(e).all(-1)
         qdot = torch.where((aimed & valid).unsqueeze(-1), qdot, 0.0)
@@ -280,21 +285,39 @@ class APCCController(Part):
         usable, oriented = self.feedback.used(measurement.T, measurement.mask, measurement.angular_mask)
         return self.pose_filter(state.expected, measurement.T, usable, oriented, dt)
 
+    def _driven(
+        self, q_bar: Tensor, pi_hat: Tensor, chain: Placed, shape: FollowedShape | None, batch: torch.Size
+    ) -> tuple[Tensor, Tensor, Placed]:
+        """q (..., n), rest lengths and chain that the tendons drive: with a shape, the arm's own sections'.
+
+        Tendons bend and stretch those evenly, whatever arcs follow the shape best; so their lengths say q exactly.
+        """
+        if self.shape is None or shape is None:
+            return q_bar, pi_hat, chain
+        q = self.shape.strain(shape).expand(*batch, q_bar.shape[-1])
+        lengths = self.driven_lengths(pi_hat).expand(*batch, pi_hat.shape[-1])
+        return q, lengths, self.backbone.chain(q, lengths)
+
+    def driven_lengths(self, pi_hat: Tensor) -> Tensor:
+        """The sections' lengths (..., n_b) m with which q_d is mapped to the tendons."""
+        return pi_hat if self.shape is None else self.shape.fit.nominal.to(pi_hat).expand_as(pi_hat)
+
     def _solve(
         self,
         state: ControllerState,
         measurement: Measurement,
         target: Target,
-        q_bar: Tensor,
+        q: Tensor,
+        pi_hat: Tensor,
         chain: Placed,
         e: Tensor,
         dt: Tensor,
         bounds: RateBounds | None,
     ) -> tuple[Tensor, Tensor | None]:
-        """qdot (..., n) of Eq. (16) within its bounds, with the model's chain at (q_bar, pi_hat), and the tendons'
-        `Command.limits`.
+        """qdot (..., n) of Eq. (16) within its bounds, and the tendons' `Command.limits`; q, pi_hat, chain of
+        `_driven`.
         """
-        return self.inverse_kinematics(chain.tip_jacobian(), e, target.xdot_d.expand_as(e), q_bar, dt, bounds), None
+        return self.inverse_kinematics(chain.tip_jacobian(), e, target.xdot_d.expand_as(e), q, dt, bounds), None
 
     def _adapted(
         self, pi_hat: Tensor, dt: Tensor, step: LawStep, memories: tuple[Memory, ...], valid: Tensor
@@ -329,7 +352,8 @@ class APCCController(Part):
 
     def tendons(self, q: Tensor, pi_hat: Tensor) -> Tensor | None:
         """Tendon length changes (..., n_a), m, that a configuration q (..., n) means; None without a routing."""
-        return None if self.routing is None else self.backbone.tendon_lengths(self.routing, q, pi_hat)
+        lengths = self.driven_lengths(pi_hat)
+        return None if self.routing is None else self.backbone.tendon_lengths(self.routing, q, lengths)
 
     def _rate_bounds(self, q_d: Tensor, dt: Tensor) -> RateBounds | None:
         """Bounds on qdot that keep q_d (..., n) within its own for dt (...); None where it has none.

@@ -84,15 +84,15 @@ class TaskController(APCCController):
         state: ControllerState,
         measurement: Measurement,
         target: Target,
-        q_bar: Tensor,
+        q: Tensor,
+        pi_hat: Tensor,
         chain: Placed,
         e: Tensor,
         dt: Tensor,
         bounds: RateBounds | None,
     ) -> tuple[Tensor, Tensor | None]:
         """qdot (..., n) of the whole stack within its bounds, and the tendons' `Command.limits`."""
-        pi_hat = state.pi_hat
-        T, J_b = self.stack.poses(self.backbone, q_bar, pi_hat)
+        T, J_b = self.stack.poses(self.backbone, q, pi_hat)
         # The tip's error is the controller's, which knows whether the tip was measured.
         turn = torch.eye(3, dtype=e.dtype, device=e.device).expand(*e.shape[:-1], 3, 3)
         seen = [se3.pose(turn, target.x_d - e)]
@@ -101,9 +101,9 @@ class TaskController(APCCController):
         driven = self.backbone.coordinates.driven
         rates = self.stack.asked(T, driven(J_b), targets, seen)
         velocity = self.inverse_kinematics.tip_velocity(e, target.xdot_d)
-        descent = self.inverse_kinematics.descent(q_bar, dt, velocity)
+        descent = self.inverse_kinematics.descent(q, dt, velocity)
         if self.clearance is not None:
-            descent = descent + driven(self.clearance.descent(self.backbone, q_bar, pi_hat))
+            descent = descent + driven(self.clearance.descent(self.backbone, q, pi_hat))
         if self.constrained is None:
             return self.inverse_kinematics.bounded(self.stack(rates, descent, bounds)), None
         assert self.tendon_limits is not None and self.routing is not None  # checked when this was made

@@ -102,6 +102,12 @@ class ShapeFeedback(Part):
         q_bar = self.fit(torch.where(stretches, elongation, q_bar), pi_hat, points, share)
         return FollowedShape(shape, pi_hat + q_bar[..., coordinates.elongations]), q_bar
 
+    def strain(self, state: FollowedShape) -> Tensor:
+        """The bends and elongations of the arm's own sections, as a configuration (..., n) of the model."""
+        x, y, elongation = state.shape.strain.unflatten(-1, (-1, 3)).unbind(-1)
+        coordinates = self.fit.backbone.coordinates
+        return coordinates.from_bends(x, y) + coordinates.on_elongations(elongation)
+
     def curve(self, state: ShapeState) -> tuple[Tensor, Tensor]:
         """Points (..., N, 3) on the arm, m, `SAMPLES` on each of its pieces, and their shares of its length (..., N)."""
         q, arm = self.shape.configuration(state), self.shape.backbone

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import NamedTuple
 
@@ -50,6 +50,7 @@ class Arms(NamedTuple):
     divergence: Divergence
     bounds: LengthBounds | None  # of pi_hat, where it adapts
     period: float  # s, of a control step
+    driven_lengths: Callable[[Tensor], Tensor]  # `APCCController.driven_lengths`
 
 
 class Outcome(NamedTuple):
@@ -156,6 +157,7 @@ def _arms_of(
         build.divergence(),
         kinematic.bounds if kinematic.adaptive else None,
         1.0 / build.config.controller.rate,
+        kinematic.driven_lengths,
     )
 
 
@@ -171,7 +173,7 @@ def curves(log: DynamicLog, arms: Arms) -> figures.RunCurves:
     """The measures of the paper over time, at the instants of the log."""
     with torch.inference_mode():
         shape = backbone_error(arms.true, log.q_true, arms.true_lengths, arms.model, log.q_bar, log.pi_hat)
-        mapped = mapping_error(arms.model, log.q_d, log.pi_hat, log.x)
+        mapped = mapping_error(arms.model, log.q_d, arms.driven_lengths(log.pi_hat), log.x)
         # Of all runs alike: algorithm 2 reports no angles where it fits positions alone.
         places = decouple(arms.sensors, arms.true_lengths)
         rotation = arms.true.pose(log.q_true, arms.true_lengths, *places)[..., :3, :3]
