@@ -28,6 +28,23 @@ def solve_spd(A: Tensor, B: Tensor) -> Tensor:
     return torch.cholesky_solve(B, factor).masked_fill(failed[..., None, None] != 0, torch.nan)
 
 
+def solve_floored(A: Tensor, B: Tensor, floor: float) -> Tensor:
+    """Solves A X = B for symmetric A without negative eigenvalues, B in its range; a row that has some gives NaN.
+
+    Directions in which A is zero to rounding get next to nothing. In another one, of eigenvalue s, the floor that holds
+    them costs the relative error (floor / s)^2: it is added to A, and what it took is given back once.
+
+    Args:
+        A: (..., n, n).
+        B: (..., n, m).
+        floor: Far below the eigenvalues that count, and far above their rounding.
+    """
+    factor, failed = torch.linalg.cholesky_ex(A + floor * torch.eye(A.shape[-1], dtype=A.dtype, device=A.device))
+    X = torch.cholesky_solve(B, factor)
+    X = torch.add(X, torch.cholesky_solve(X, factor), alpha=floor)
+    return X.masked_fill(failed[..., None, None] != 0, torch.nan)
+
+
 def solve_spd_unrolled(A: Tensor, B: Tensor) -> Tensor:
     """`solve_spd` by A = L D L^T written out, the batch in the innermost dimension; differentiable."""
     n, batch = A.shape[-1], torch.broadcast_shapes(A.shape[:-2], B.shape[:-2])

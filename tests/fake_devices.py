@@ -208,7 +208,7 @@ class FakeStep:
             if self.faults.at(kind, now):
                 self.request.ask(reason, kind)
         k = torch.zeros(N_BODIES, dtype=torch.float64)
-        feedback = Feedback(state.q_bar, k, k, torch.tensor(1), torch.tensor(0), torch.tensor(0))
+        feedback = Feedback(state.q_bar, k, k, torch.tensor(1), torch.tensor(0))
         return state._replace(time=measurement.time), Command(state.qdot, state.q_d, y, e, feedback)
 
 

@@ -31,5 +31,5 @@ def law_step(
         T=T,
         abscissae=feedback.abscissae,
         chain=backbone.chain(q, pi),
-        dq_dpi=feedback.sensitivity(q, pi) if sensitivity else None,
+        dq_dpi=feedback.sensitivity(q, pi, T=T) if sensitivity else None,
     )

@@ -345,9 +345,10 @@ class APCCController(Part):
         pi_hat: Tensor,
         mask: Tensor | None = None,
         angular_mask: Tensor | None = None,
+        T: Tensor | None = None,
     ) -> Tensor:
-        """The total derivative Y + d(J qdot)/dq dq_bar/dpi (..., 3, n_b); see `AdaptiveLaw`."""
-        dq_dpi = self.feedback.sensitivity(q, pi_hat, mask, angular_mask)
+        """The total derivative Y + d(J qdot)/dq dq_bar/dpi (..., 3, n_b); see `AdaptiveLaw` and `sensitivity`."""
+        dq_dpi = self.feedback.sensitivity(q, pi_hat, mask, angular_mask, T)
         return total_regressor(self.backbone.coordinates, self.backbone.tip_jacobian_rate(q, qdot, pi_hat), dq_dpi)
 
     def tendons(self, q: Tensor, pi_hat: Tensor) -> Tensor | None:

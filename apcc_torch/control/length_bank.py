@@ -134,6 +134,7 @@ class LengthBank(LengthLaw):
     needs_velocity = False
     nominal: Tensor
     candidates: Tensor
+    many: Tensor
     elongation_weight: Setting
     nominal_weight: Setting
     sharpness: Setting
@@ -154,7 +155,9 @@ class LengthBank(LengthLaw):
         self.hold(s)
         with nominal.device:  # where numbers become tensors
             models = candidates(nominal, lists_of(s.shares, nominal.shape[-1] - 1), feedback.abscissae)
-        hold_rows(self, nominal=(nominal, 1), candidates=(models, 2))
+        # How many are a row's own: the others repeat the first. A row is the same in any batch.
+        own = 1 + (models[..., 1:, :] != models[..., :1, :]).any(-1).sum(-1)
+        hold_rows(self, nominal=(nominal, 1), candidates=(models, 2), many=(own, 0))
 
     def _hold_one(self, name: str, value: Any, trailing: int) -> None:
         # The shares make the candidates; they are no tensor of the computation.
@@ -190,17 +193,20 @@ class LengthBank(LengthLaw):
         V = self.cost(backbone, q_m, visited, T)
         if is_on(self.memory):
             before = torch.where(chosen, evidence.cost, 0.0).sum(-1)
-            V = torch.where(before < UNSEEN, torch.lerp(V, before, torch.exp(-M * step.dt / self.memory)), V)
+            V = torch.where(
+                before < UNSEEN, torch.lerp(V, before, torch.exp(-self.many.to(pi) * step.dt / self.memory)), V
+            )
         good = complete & torch.isfinite(V)
         new = chosen & good.unsqueeze(-1)
         later = BankEvidence(
             torch.where(new.unsqueeze(-1), q_m.unsqueeze(-2), evidence.q),
             torch.where(new, V.unsqueeze(-1), evidence.cost),
-            torch.where(complete, torch.where(evidence.turn + 1 < M, evidence.turn + 1, 0), evidence.turn),
+            torch.where(complete, torch.where(evidence.turn + 1 < self.many, evidence.turn + 1, 0), evidence.turn),
         )
         low = later.cost.amin(-1, keepdim=True)
         sharpness, resolution = aligned(self.sharpness, 1), aligned(self.resolution, 1)
         weight = torch.exp((low - later.cost) / (sharpness * low + resolution**2)).unsqueeze(-1)
+        weight = torch.where((torch.arange(M, device=pi.device) < self.many.unsqueeze(-1)).unsqueeze(-1), weight, 0.0)
         best = (weight * models).sum(-2) / weight.sum(-2)
         if is_on(self.stretch):
             stretched = self._total(pi + step.q_bar[..., backbone.coordinates.elongations])
@@ -228,6 +234,8 @@ class LengthBank(LengthLaw):
 def candidates(nominal: Tensor, lists: Sequence[Tensor], abscissae: Tensor) -> Tensor:
     """(..., M, n_b) rest lengths, m: the nominal ones, then every combination of shares of all sections but the last.
 
+    M is that of the row with most; a row with fewer has the nominal ones again behind its own.
+
     Left out are those with no length for the last section, and those that the sensors cannot tell: for every section
     there must be a sensor of its own in it or in the next one, as a spline needs a point for every knot (the condition
     of Schoenberg and Whitney). Otherwise one section is bent at will and its neighbour unbends it. Where nothing else
@@ -254,11 +262,16 @@ def candidates(nominal: Tensor, lists: Sequence[Tensor], abscissae: Tensor) -> T
     last = nominal.sum(-1)[..., None, None] - first.sum(-1, keepdim=True)
     made = torch.cat((first, last.expand(*first.shape[:-1], 1)), dim=-1)
     kept = (made[..., -1] > 0) & _told_apart(made, abscissae.to(nominal).unsqueeze(-2))
-    kept = kept.reshape(-1, kept.shape[-1]).all(0)  # in every row, for rows share the number of models
-    places = values_of(kept)
-    if places is not None:  # else nothing is known of them, and all stay
-        made = made[..., places, :]
-    return torch.cat((nominal.unsqueeze(-2).expand(*made.shape[:-2], 1, n_b), made), dim=-2)
+    # Each row's own come first, in their order; behind them stand the nominal ones, once more.
+    nominal = nominal.unsqueeze(-2)
+    kept = kept & (made != nominal).any(-1)
+    made = torch.where(kept.unsqueeze(-1), made, nominal)
+    order = (~kept).to(torch.uint8).argsort(dim=-1, stable=True)
+    made = made.gather(-2, order.unsqueeze(-1).expand(*order.shape, n_b))
+    most = values_of(kept.sum(-1).amax())
+    if most is not None:  # else nothing is known of them, and all stay
+        made = made[..., :most, :]
+    return torch.cat((nominal.expand(*made.shape[:-2], 1, n_b), made), dim=-2)
 
 
 def lists_of(shares: Shares | Tensor, sections: int) -> list[Tensor]:

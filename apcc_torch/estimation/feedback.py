@@ -40,7 +40,6 @@ class Feedback(NamedTuple):
         that is masked.
     iterations: (...) int64 steps computed.
     status: (...) int64 `FeedbackStatus`.
-    unseen: (...) int64 how many directions of q the sensors that count do not see: there q_bar stays near the seed.
 
     Example:
         >>> arm = Arm(lengths=[0.2, 0.25])
@@ -56,11 +55,10 @@ class Feedback(NamedTuple):
     linear_error: Tensor
     iterations: Tensor
     status: Tensor
-    unseen: Tensor
 
 
 class Inference(NamedTuple):
-    """Algorithm 2's result with what `StateFeedback.followed` needs of it.
+    """Algorithm 2's result with what the derivatives at its end need of it.
 
     feedback: The result.
     pi_hat: (..., n_b) the parameters it was inferred with, m.

@@ -70,7 +70,7 @@ def feedback_covariance(
     """Covariance of q_bar (..., n, n) under independent noise of the sensors.
 
     It is that of the directions which the sensors see. The others keep the seed whatever the noise, and have none here:
-    `Feedback.unseen` counts them.
+    `StateFeedback.unseen` counts them.
 
     Args:
         feedback: Algorithm 2.

@@ -10,7 +10,7 @@ from torch import Tensor
 from apcc_torch.estimation.step import Residual
 from apcc_torch.lie import se3, so3
 from apcc_torch.model.abscissae import MaterialPoints
-from apcc_torch.model.kinematic_model import KinematicModel
+from apcc_torch.model.kinematic_model import KinematicModel, Placed
 
 
 class Problem(NamedTuple):
@@ -67,19 +67,22 @@ class Fit(NamedTuple):
 def evaluate(backbone: KinematicModel, mode: str, q: Tensor, problem: Problem) -> Fit:
     """The model at q (..., n) beside the sensors; mode as in `StateFeedback`."""
     chain = backbone.chain_to(q, problem.points)
+    return Fit(q, *twists(chain, mode, problem), chain.body_jacobian())
+
+
+def twists(chain: Placed, mode: str, problem: Problem) -> tuple[Tensor, Tensor]:
+    """`Fit.twist` and `Fit.k` of a chain to the sensors."""
     into_body = chain.rotation.mT
     offset = torch.where(problem.usable.unsqueeze(-1), problem.position - chain.tip, 0.0)
     linear = (into_body @ offset.unsqueeze(-1)).squeeze(-1)  # Eq. (32), in the sensor's own axes
     if mode == "position":
-        twist, k = torch.nn.functional.pad(linear, (3, 0)), torch.zeros_like(linear[..., :1])
-    else:
-        identity = torch.eye(3, dtype=q.dtype, device=q.device)
-        turn = into_body @ problem.rotation
-        half, k = so3.half_log(torch.where(problem.oriented[..., None, None], turn, identity))
-        # The linear part of Eq. (30) depends on the orientation, which has no say where positions come first.
-        hierarchical = mode == "hierarchical"
-        twist = torch.cat((2.0 * half, linear), dim=-1) if hierarchical else se3.log_from_half(half, k, linear)
-    return Fit(q, twist, k, chain.body_jacobian())
+        return torch.nn.functional.pad(linear, (3, 0)), torch.zeros_like(linear[..., :1])
+    identity = torch.eye(3, dtype=linear.dtype, device=linear.device)
+    turn = into_body @ problem.rotation
+    half, k = so3.half_log(torch.where(problem.oriented[..., None, None], turn, identity))
+    # The linear part of Eq. (30) depends on the orientation, which has no say where positions come first.
+    hierarchical = mode == "hierarchical"
+    return torch.cat((2.0 * half, linear), dim=-1) if hierarchical else se3.log_from_half(half, k, linear), k
 
 
 def select(take: Tensor, new: Fit, old: Fit) -> Fit:

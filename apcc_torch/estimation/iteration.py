@@ -96,12 +96,14 @@ def far_off(fit: Fit, problem: Problem) -> Tensor:
     return ((angular > LOST_ANGLE**2) | (linear > (LOST_SHARE * problem.points.length.sum(-1)).square())).any(-1)
 
 
-def unseen(fit: Fit, problem: Problem) -> Tensor:
+def unseen(body: Tensor, weights: Tensor) -> Tensor:
     """(...) int64, how many directions of q no row that counts sees: n less the rank of the weighted Jacobian.
+
+    body and weights as in `step.Residual`.
 
     Of its singular values s each unseen one adds one to the sum of tau / (s^2 + tau), and the others next to nothing.
     """
-    J = (fit.body * problem.weights).flatten(-3, -2)
+    J = (body * weights).flatten(-3, -2)
     n = J.shape[-1]
     tau = max(UNSEEN, 32.0 * torch.finfo(J.dtype).eps)
     identity = torch.eye(n, dtype=J.dtype, device=J.device)

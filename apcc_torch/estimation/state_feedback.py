@@ -11,11 +11,13 @@ from torch import Tensor
 from apcc_torch.errors import DtypeError, ShapeError, ValueRangeError
 from apcc_torch.estimation.feedback import Feedback, FeedbackStatus, Inference
 from apcc_torch.estimation.fit import Problem, evaluate
+from apcc_torch.estimation.fixed_point import fixed_point_slope
 from apcc_torch.estimation.implicit import attached
 from apcc_torch.estimation.iteration import Rules, far_off, iterate, unseen
-from apcc_torch.estimation.step import Residual, damped_step, row_weights
+from apcc_torch.estimation.step import row_weights
+from apcc_torch.lie import se3
 from apcc_torch.lie.rotations import is_rotation
-from apcc_torch.model.abscissae import MaterialPoints, located
+from apcc_torch.model.abscissae import located
 from apcc_torch.model.kinematic_model import KinematicModel, Placed
 from apcc_torch.modes import holds
 from apcc_torch.part import Part, hold_rows
@@ -202,17 +204,7 @@ class StateFeedback(Part):
             batch = torch.broadcast_shapes(batch, *others)
         usable, oriented, pi_hat = (v.expand(*batch, v.shape[-1]) for v in (usable, oriented, pi_hat))
         lengths = (pi_hat > 0.0).all(-1, keepdim=True)  # of no length there is nothing to bend
-        usable, oriented = usable & lengths, oriented & lengths
-        # What is left out is measured where the model has it: it pulls nowhere, and nothing non-finite enters.
-        T = torch.where(usable[..., None, None], T, 0.0)
-        return pi_hat, Problem(
-            T[..., :3, :3],
-            T[..., :3, 3],
-            self.backbone.material_points(pi_hat, *located(self._abscissae(pi_hat).expand_as(usable), pi_hat)),
-            usable,
-            oriented,
-            self._weights(usable, oriented, pi_hat.dtype),
-        )
+        return pi_hat, self._problem(pi_hat, T, usable & lengths, oriented & lengths)
 
     def judged(self, q_bar: Tensor, pi_hat: Tensor, problem: Problem) -> Inference:
         """What the sensors say of a q_bar (..., n) from elsewhere: CONVERGED within both thresholds, else SETTLED."""
@@ -221,11 +213,10 @@ class StateFeedback(Part):
         within = (linear < aligned(self.linear_threshold, 1)) & (angular < aligned(self.angular_threshold, 1))
         valid = problem.usable.any(-1) & torch.isfinite(q_bar).all(-1)
         status = torch.full_like(valid, int(FeedbackStatus.SETTLED), dtype=torch.int64)
-        status = status.masked_fill(within.all(-1), int(FeedbackStatus.CONVERGED))
         status = status.masked_fill(far_off(fit, problem), int(FeedbackStatus.MISFIT))
+        status = status.masked_fill(within.all(-1), int(FeedbackStatus.CONVERGED))
         status = status.masked_fill(~valid, int(FeedbackStatus.INVALID))
-        once = torch.ones_like(status)
-        return Inference(Feedback(q_bar, angular, linear, once, status, unseen(fit, problem)), pi_hat, problem)
+        return Inference(Feedback(q_bar, angular, linear, torch.ones_like(status), status), pi_hat, problem)
 
     def used(self, T: Tensor, mask: Tensor | None = None, angular_mask: Tensor | None = None) -> tuple[Tensor, Tensor]:
         """Which sensors, and which orientations, count: two bool (..., k). Arguments as `forward`.
@@ -242,6 +233,13 @@ class StateFeedback(Part):
         wrong = (usable & ~last) | (oriented & ~is_rotation(T[..., :3, :3]))
         right = ~wrong.any(-1, keepdim=True)
         return usable & right, oriented & right
+
+    def _problem(self, pi_hat: Tensor, T: Tensor, usable: Tensor, oriented: Tensor) -> Problem:
+        # What is left out is measured where the model has it: it pulls nowhere, and nothing non-finite enters.
+        T = torch.where(usable[..., None, None], T, 0.0)
+        points = self.backbone.material_points(pi_hat, *located(self._abscissae(pi_hat).expand_as(usable), pi_hat))
+        weights = self._weights(usable, oriented, pi_hat.dtype)
+        return Problem(T[..., :3, :3], T[..., :3, 3], points, usable, oriented, weights)
 
     def _abscissae(self, like: Tensor) -> Tensor:
         return self.abscissae.to(dtype=like.dtype, device=like.device)
@@ -281,7 +279,7 @@ class StateFeedback(Part):
         status = status.masked_fill(settled & far_off(fit, problem), FeedbackStatus.MISFIT)
         status = status.masked_fill(within, FeedbackStatus.CONVERGED).masked_fill(~valid, FeedbackStatus.INVALID)
         q_bar = torch.where(valid.unsqueeze(-1), fit.q, q_seed)
-        return Feedback(q_bar, *fit.errors(), iterations, status, unseen(fit, problem))
+        return Feedback(q_bar, *fit.errors(), iterations, status)
 
     def _lowest(self, pi_hat: Tensor) -> Tensor:
         """The lowest q (..., n): sections keep a share of their rest length, and nothing else is bounded."""
@@ -290,31 +288,42 @@ class StateFeedback(Part):
         return torch.where(bounded, coordinates.on_elongations((SHORTEST - 1.0) * pi_hat), -torch.inf)
 
     def sensitivity(
-        self, q_bar: Tensor, pi_hat: Tensor, mask: Tensor | None = None, angular_mask: Tensor | None = None
+        self,
+        q_bar: Tensor,
+        pi_hat: Tensor,
+        mask: Tensor | None = None,
+        angular_mask: Tensor | None = None,
+        T: Tensor | None = None,
     ) -> Tensor:
         """dq_bar/dpi_hat (..., n, n_b): how the fixed point of algorithm 2 follows the parameters.
 
-        The fixed point satisfies J_b^T W V_b = 0. Differentiated at a small residual,
-        dq_bar/dpi = -(J_b^T W J_b)^-1 J_b^T W (dT/dpi), with dT/dpi the sensors' body twists per unit parameter at
-        fixed q: one step of the mode against those twists. Exact where the model fits the sensors.
+        The fixed point's exact derivative in closed form, see `fixed_point`: with the curvature that the residual adds,
+        which the steps of Eq. (31) lack. Where second derivatives are not positive definite on what the sensors see, no
+        fixed point attracts, and there is no derivative: such a row has that of the steps, which is exact at no
+        residual, dq_bar/dpi = -(J_b^T W J_b)^-1 J_b^T W dT/dpi.
 
         Args:
             q_bar: (..., n) a converged estimate.
             pi_hat: (..., n_b) m.
             mask: (..., k) bool, sensors used; None for all.
             angular_mask: (..., k) bool, orientations used; None for `mask`.
+            T: (..., k, 4, 4) measured poses that q_bar was inferred from; None for poses that the model fits.
         """
         self.backbone.check(q_bar, pi_hat)
-        usable = torch.ones_like(self.abscissae, dtype=torch.bool) if mask is None else mask
-        oriented = usable if angular_mask is None else usable & angular_mask
-        batch = batch_shape(q_bar=(q_bar, 1), pi_hat=(pi_hat, 1), sensors=(oriented, 1))
-        # In double precision: a direction that no sensor sees must stay one beside a damping far below any sensor's
-        # reach squared, and single precision's rounding would be seen.
-        q, pi = (v.double().expand(*batch, v.shape[-1]) for v in (q_bar, pi_hat))
-        X = self._abscissae(pi)
-        points = self.backbone.material_points(pi, *located(X.expand(*batch, X.shape[-1]), pi))
-        body = self.backbone.chain_to(q, points).body_jacobian()
-        return self._sensitivity(q, pi, points, body, self._weights(usable, oriented, q.dtype)).to(q_bar.dtype)
+        k = self.abscissae.shape[-1]
+        leading = {"q_bar": (q_bar, 1), "pi_hat": (pi_hat, 1), "abscissae": (self.abscissae, 1)}
+        for name, given in {"mask": mask, "angular_mask": angular_mask}.items():
+            if given is not None:
+                leading[name] = (_check_mask(name, given, k), 1)
+        if T is not None:
+            leading["T"] = (check_tensor("T", T, (k, 4, 4)), 3)
+        batch = batch_shape(**leading)
+        q, pi = q_bar.expand(*batch, q_bar.shape[-1]), pi_hat.expand(*batch, pi_hat.shape[-1])
+        if T is None:
+            q_, pi_ = q.double(), pi.double()
+            T = self.backbone.pose(q_, pi_, *located(self._abscissae(pi_).expand(*batch, k), pi_))
+        usable, oriented = (v.expand(*batch, k) for v in self.used(T, mask, angular_mask))
+        return self._slope(q, pi, T, usable, oriented)
 
     def chain_and_sensitivity(self, inference: Inference, batch: torch.Size) -> tuple[Placed, Tensor]:
         """The arm's chain at q_bar and `sensitivity` (..., n, n_b) there, from one pass.
@@ -324,19 +333,32 @@ class StateFeedback(Part):
             batch: Leading shape of the results; that of the inference broadcasts to it.
         """
         feedback, pi_hat, problem = inference
-        q_bar = feedback.q_bar
-        q = q_bar.expand(*batch, q_bar.shape[-1])
+        q = feedback.q_bar.expand(*batch, feedback.q_bar.shape[-1])
         if q.dtype != torch.float64:
-            return self.backbone.chain(q, pi_hat), self.sensitivity(q_bar, pi_hat, problem.usable, problem.oriented)
-        points = problem.points.with_tip(pi_hat)
-        chain = self.backbone.chain_to(q, points)
-        body = chain.body_jacobian()[..., :-1, :, :]
-        return chain.last(), self._sensitivity(q_bar, pi_hat, problem.points, body, problem.weights)
+            T = se3.pose(problem.rotation, problem.position)
+            slope = self._slope(feedback.q_bar, pi_hat, T, problem.usable, problem.oriented)
+            return self.backbone.chain(q, pi_hat), slope
+        chain = self.backbone.chain_to(q, problem.points.with_tip(pi_hat))
+        X, seen = self._abscissae(pi_hat), chain.at(slice(-1))
+        return chain.at(-1), fixed_point_slope(self.backbone, self.mode, feedback.q_bar, pi_hat, X, problem, seen)
 
-    def _sensitivity(self, q: Tensor, pi: Tensor, points: MaterialPoints, body: Tensor, weights: Tensor) -> Tensor:
-        moved = self.backbone.parameter_columns(q, pi, self._abscissae(pi), points, body)
-        damping = torch.full((), 1e-10, dtype=body.dtype, device=body.device)
-        return -damped_step(self.mode, Residual(moved, body, weights), damping)
+    def unseen(self, inference: Inference) -> Tensor:
+        """(...) int64 how many directions of q the sensors that count do not see: there q_bar stays near the seed.
+
+        Args:
+            inference: From `infer`.
+        """
+        q, problem = inference.feedback.q_bar, inference.problem
+        body = self.backbone.chain_to(q, problem.points).body_jacobian()
+        return unseen(body, problem.weights)
+
+    def _slope(self, q: Tensor, pi: Tensor, T: Tensor, usable: Tensor, oriented: Tensor) -> Tensor:
+        # In double precision: a direction that no sensor sees must stay one beside a damping far below any sensor's
+        # reach squared, and single precision's rounding would be seen.
+        problem = self._problem(pi.double(), T.double(), usable, oriented)
+        chain = self.backbone.chain_to(q.double(), problem.points)
+        X = self._abscissae(chain.tip)
+        return fixed_point_slope(self.backbone, self.mode, q.double(), pi.double(), X, problem, chain).to(q.dtype)
 
 
 def _check_mask(name: str, mask: Tensor, k: int) -> Tensor:

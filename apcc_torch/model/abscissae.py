@@ -22,6 +22,22 @@ class MaterialPoints(NamedTuple):
     length: Tensor
     section: Tensor
 
+    @property
+    def own(self) -> Tensor:
+        """(..., k, n_b) one at the section that the point is in, zero at the others."""
+        sections = torch.arange(self.fraction.shape[-1], device=self.section.device)
+        return (self.section.unsqueeze(-1) == sections).to(self.fraction.dtype)
+
+    def slides(self, L0: Tensor, X: Tensor) -> Tensor:
+        """(..., k, n_b) change of each point's X_tilde per unit of each rest length; L0 (..., n_b), X (..., k) m.
+
+        Eq. (25) differentiated: -1 / pi_j before section j, -X_tilde / pi_j in it; 0 once clamped. The last sensor
+        often sits at the arm's very end, where bounds put it up to rounding: that counts as inside.
+        """
+        end = L0.cumsum(-1)[..., -1:] * (1.0 + 64.0 * torch.finfo(L0.dtype).eps)
+        inside = (end >= X).to(L0.dtype) / torch.gather(L0, -1, self.section)
+        return -self.fraction * inside.unsqueeze(-1)
+
     def with_tip(self, L0: Tensor) -> MaterialPoints:
         """The points and after them the arm's tip, for rest lengths L0 (..., n_b) of the same leading shape."""
         n_b = L0.shape[-1]

@@ -10,7 +10,7 @@ from apcc_torch.model.abscissae import MaterialPoints
 from apcc_torch.model.arc import arc_pose, squared_bend
 from apcc_torch.model.chain import Chain, build_chain
 from apcc_torch.model.coordinates import CONSTANT_CURVATURE
-from apcc_torch.model.kinematic_model import KinematicModel
+from apcc_torch.model.kinematic_model import KinematicModel, PointDerivatives
 from apcc_torch.model.regressor import linear_regressor
 from apcc_torch.model.tendons import TendonRouting
 
@@ -76,6 +76,17 @@ class PCCBackbone(KinematicModel):
         parts = q.unflatten(-1, (-1, 3)).unsqueeze(-3) * points.fraction.unsqueeze(-1)
         x, y, dL = parts.unbind(-1)
         return build_chain(x, y, dL + points.length, self._base(q), points.fraction)
+
+    def second_order(
+        self, q: Tensor, L0: Tensor, points: MaterialPoints, chain: Chain, gradient: Tensor, slope: Tensor
+    ) -> PointDerivatives:
+        """See `KinematicModel.second_order`: all coordinates of a section's part are the fraction times its own."""
+        of_arcs = chain.second_order(gradient, slope)
+        fraction, own = (v.unsqueeze(-1).expand(*v.shape, 3).flatten(-2) for v in (points.fraction, points.own))
+        slide = own * (q + self.coordinates.on_elongations(L0)).unsqueeze(-2)
+        moved = fraction * (of_arcs.hessian @ slide.unsqueeze(-1)).squeeze(-1) + own * of_arcs.gradient
+        hessian = fraction.unsqueeze(-1) * of_arcs.hessian * fraction.unsqueeze(-2)
+        return PointDerivatives(fraction * of_arcs.gradient, hessian, moved)
 
     def strain(self, q: Tensor, L0: Tensor, points: MaterialPoints) -> Tensor:
         """A section's constant strain (-y, x, 0, 0, 0, L), (..., k, 6)."""

@@ -16,6 +16,17 @@ from apcc_torch.model.arc import Arc, arc_geometry, arc_rate, squared_bend
 from apcc_torch.modes import full_precision
 
 
+class SecondOrder(NamedTuple):
+    """Derivatives of a function of a chain's tip frame, by the N coordinates of the chain's own arcs, whole or cut.
+
+    gradient: (..., N).
+    hessian: (..., N, N).
+    """
+
+    gradient: Tensor
+    hessian: Tensor
+
+
 class Chain(NamedTuple):
     """Frames along a chain of n arcs.
 
@@ -46,13 +57,15 @@ class Chain(NamedTuple):
         """(..., 3) position of the last tip, m."""
         return self.ends[..., -1, :]
 
-    def last(self) -> Chain:
-        """Of chains (..., k) to several points, the one to the last point, which is the whole arm's tip."""
-        c = Stumpff(*(value.select(-2, -1) for value in self.c))
-        arcs = Arc(*(value.select(-4, -1) for value in self.arcs))
-        x, y, length = (value.select(-2, -1) for value in (self.x, self.y, self.length))
-        before, ends, rotation = self.before.select(-4, -1), self.ends.select(-3, -1), self.rotation.select(-3, -1)
-        return Chain(x, y, length, c, arcs, before, ends, rotation)
+    def at(self, points: int | slice) -> Chain:
+        """Of chains (..., k) to several points, the one to a point, or those to some of them; a point is the tip."""
+        one = isinstance(points, int)
+        vectors, matrices = (..., points, slice(None)), (..., points, *[slice(None)] * 3)
+        c, arcs = Stumpff(*(v[vectors] for v in self.c)), Arc(*(v[matrices] for v in self.arcs))
+        x, y, length = (v[vectors] for v in (self.x, self.y, self.length))
+        ends, rotation = (v[..., points, :, :] for v in (self.ends, self.rotation))
+        fraction = None if one or self.fraction is None else self.fraction[vectors]
+        return Chain(x, y, length, c, arcs, self.before[matrices], ends, rotation, fraction)
 
     @full_precision
     def tip_jacobian(self) -> Tensor:
@@ -63,8 +76,36 @@ class Chain(NamedTuple):
     @full_precision
     def body_jacobian(self) -> Tensor:
         """Body twist (..., 6, 3 n) of the tip for unit rates of the coordinates, rows angular then linear."""
+        arcs = self.arcs.columns
+        return self._body_jacobian(arcs if self.fraction is None else arcs * self.fraction[..., None, None])
+
+    @full_precision
+    def second_order(self, gradient: Tensor, slope: Tensor) -> SecondOrder:
+        """See `SecondOrder`; arguments as `KinematicModel.second_order`."""
+        J = self._body_jacobian(self.arcs.columns)
+        turn, pull = (self.rotation.unsqueeze(-3) @ gradient.unflatten(-1, (2, 3)).unsqueeze(-1)).unbind(-3)
+        arm = (self.tip.unsqueeze(-2) - self.ends).unsqueeze(-1)
+        # At each arc's own tip, in the axes of its base.
+        pull = pull.unsqueeze(-3).expand_as(arm)
+        turn = self.before.mT @ (turn.unsqueeze(-3) + torch.linalg.cross(arm, pull, dim=-2))
+        pull = self.before.mT @ pull
+        stretched = self.length[..., None, None] * pull
+        one, other = torch.eye(2, dtype=gradient.dtype, device=gradient.device).unbind(-1)
+        x, y, *c = (value.unsqueeze(-1) for value in (self.x, self.y, *self.c))
+        rate = arc_rate(x, y, one, other, Stumpff(*c)).columns
+        felt = torch.cat((turn, turn, stretched, stretched, pull), dim=-1).unsqueeze(-3)
+        spun, bent, chord = (rate * felt).sum(-2).split_with_sizes((2, 2, 1), dim=-1)
+        spin, bend = self.arcs.spin, self.arcs.bend * self.length[..., None, None]
+        reach = torch.cat((bend, self.arcs.chord.unsqueeze(-1)), dim=-1)
+        swing = spin.mT @ torch.linalg.cross(reach, pull.expand_as(reach), dim=-2)
+        own = torch.cat((spun + bent, chord), dim=-1) - swing
+        own = torch.cat((own, torch.nn.functional.pad(chord.mT, (0, 1))), dim=-2)
+        M = J.mT @ slope @ J
+        half = 0.5 * (own + diagonal_blocks(M, own.shape[-1]))
+        return SecondOrder((J.mT @ gradient.unsqueeze(-1)).squeeze(-1), assembled(M, half))
+
+    def _body_jacobian(self, arcs: Tensor) -> Tensor:
         from_body = self.rotation
-        arcs = self.arcs.columns if self.fraction is None else self.arcs.columns * self.fraction[..., None, None]
         columns = (from_body.mT.unsqueeze(-3) @ self.before) @ arcs
         arm = (self.tip.unsqueeze(-2) - self.ends) @ from_body
         linear = _linear_columns(columns, arm, self.length)
@@ -126,6 +167,30 @@ def build_chain(x: Tensor, y: Tensor, length: Tensor, base_rotation: Tensor, fra
 def flatten_columns(blocks: Tensor) -> Tensor:
     """(..., n, r, c) blocks, one an arc, to one matrix (..., r, n c)."""
     return blocks.transpose(-3, -2).flatten(-2)
+
+
+def diagonal_blocks(M: Tensor, c: int) -> Tensor:
+    """The blocks (..., n, c, c) on the diagonal of M (..., n c, n c)."""
+    blocks = M.unflatten(-1, (-1, c)).unflatten(-3, (-1, c))  # (..., n, c, n, c)
+    return blocks.diagonal(dim1=-4, dim2=-2).movedim(-1, -3)
+
+
+def assembled(M: Tensor, half: Tensor) -> Tensor:
+    """The symmetric matrix (..., n c, n c) whose blocks below the diagonal are those of M, for it is half + half^T.
+
+    In its own axes a frame's velocity by the coordinates of section i changes with those of the sections before i no
+    more: below the diagonal there is no term but M.
+
+    Args:
+        M: (..., n c, n c).
+        half: (..., n, c, c) blocks on the diagonal whose sum with their transposes is that of the matrix.
+    """
+    n, c = half.shape[-3:-1]
+    below = torch.ones(n, n, dtype=M.dtype, device=M.device).tril(-1)[:, None, :, None]
+    own = torch.eye(n, dtype=M.dtype, device=M.device)[:, None, :, None]
+    blocks = M.unflatten(-1, (n, c)).unflatten(-3, (n, c))
+    lower = (below * blocks + own * half.unsqueeze(-2)).flatten(-4, -3).flatten(-2)
+    return lower + lower.mT
 
 
 def _linear_columns(columns: Tensor, arm: Tensor, length: Tensor) -> Tensor:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import fields
-from typing import Any, Protocol, Self, cast
+from typing import Any, NamedTuple, Protocol, Self, cast
 
 import torch
 from torch import Tensor
@@ -37,8 +37,8 @@ class Placed(Protocol):
     def rotation(self) -> Tensor:
         """(..., 3, 3) rotation of the tip's frame, whose z axis is the tangent of an arm without shear."""
 
-    def last(self) -> Placed:
-        """Of chains (..., k) to several points, the one to the last point."""
+    def at(self, points: int | slice) -> Placed:
+        """Of chains (..., k) to several points, the one to a point, the arm's tip, or those to some of the points."""
 
     def tip_jacobian(self) -> Tensor:
         """J (..., 3, n): the tip's velocity is J qdot, world axes."""
@@ -48,6 +48,19 @@ class Placed(Protocol):
 
     def jacobian_rate(self, qdot: Tensor) -> Tensor:
         """Jdot (..., 3, n) along qdot (..., n), of the leading shape of the chain; chains of whole arms only."""
+
+
+class PointDerivatives(NamedTuple):
+    """Derivatives of functions of the frames of k material points.
+
+    gradient: (..., k, n) by q.
+    hessian: (..., k, n, n) by q twice. Rest lengths at fixed fractions act as elongations do.
+    slide: (..., k, n) of the gradient as the point slides along its section, per normalised abscissa.
+    """
+
+    gradient: Tensor
+    hessian: Tensor
+    slide: Tensor
 
 
 class KinematicModel(Part, ABC):
@@ -108,6 +121,21 @@ class KinematicModel(Part, ABC):
     @abstractmethod
     def chain_to(self, q: Tensor, points: MaterialPoints) -> Placed:
         """The arm up to each material point, as a chain (..., k) whose tip is that point; q (..., n)."""
+
+    @abstractmethod
+    def second_order(
+        self, q: Tensor, L0: Tensor, points: MaterialPoints, chain: Any, gradient: Tensor, slope: Tensor
+    ) -> PointDerivatives:
+        """First and second derivatives of functions of the points' frames; all of one leading shape, unchecked.
+
+        Args:
+            q: (..., n).
+            L0: (..., n_b) m.
+            points: k of them.
+            chain: `chain_to` of q and the points.
+            gradient: (..., k, 6) of each function by the body twist of its frame, angular part first.
+            slope: (..., k, 6, 6) how that changes along the body twist, expressed in the axes of the moved frame.
+        """
 
     @abstractmethod
     def strain(self, q: Tensor, L0: Tensor, points: MaterialPoints) -> Tensor:
@@ -247,13 +275,7 @@ class KinematicModel(Part, ABC):
         self, q: Tensor, L0: Tensor, X: Tensor, points: MaterialPoints, body_jacobian: Tensor
     ) -> Tensor:
         """`body_parameter_jacobian` where the points are known; unchecked, q, L0 and points of one leading shape."""
-        rest = torch.gather(L0, -1, points.section)
-        # Eq. (25) differentiated: dX_tilde/dpi_m is -1/pi_j before section j, -X_tilde/pi_j in it; 0 once clamped.
-        # The last sensor often sits at the arm's very end, where bounds put it up to rounding: that counts as inside.
-        end = L0.cumsum(-1)[..., -1:] * (1.0 + 64.0 * torch.finfo(q.dtype).eps)
-        inside = (end >= X).to(q.dtype) / rest
-        slide = -points.fraction * inside.unsqueeze(-1)
-        strain = self.strain(q, L0, points)
+        slide, strain = points.slides(L0, X), self.strain(q, L0, points)
         return body_jacobian[..., self.coordinates.elongations] + strain.unsqueeze(-1) * slide.unsqueeze(-2)
 
     def points(self, q: Tensor, L0: Tensor, N: int, spacing: str = "arc") -> Tensor:

@@ -24,7 +24,7 @@ from torch import Tensor
 from apcc_torch.lie import se3
 from apcc_torch.model.abscissae import MaterialPoints
 from apcc_torch.model.coordinates import Coordinates
-from apcc_torch.model.kinematic_model import KinematicModel
+from apcc_torch.model.kinematic_model import KinematicModel, PointDerivatives
 from apcc_torch.model.strain_chain import Chosen, StrainChain, Twists, build_strain_chain, rod_poses, spread
 from apcc_torch.model.tendons import TendonRouting
 
@@ -188,6 +188,32 @@ class StrainBackbone(KinematicModel):
             position = position + (rotation @ steps[..., i, :, None]).squeeze(-1)
             rotation = rotation @ rotations[..., i, :, :]
         return se3.pose(rotation, position)
+
+    def second_order(
+        self, q: Tensor, L0: Tensor, points: MaterialPoints, chain: StrainChain, gradient: Tensor, slope: Tensor
+    ) -> PointDerivatives:
+        """See `KinematicModel.second_order`."""
+        of_parts, part = chain.second_order(gradient, slope), chain.twists.part
+        assert part is not None  # of chains to points
+        c = part.shape[-1]
+
+        def chosen(rows: Tensor) -> Tensor:
+            return rows if self.places is None else rows.index_select(-2, self.places)
+
+        def pulled(columns: Tensor) -> Tensor:
+            """P^T columns (..., k, n, r) of columns (..., k, n_b c, r)."""
+            return chosen((part.mT @ columns.unflatten(-2, (-1, c))).flatten(-3, -2))
+
+        # P(s) changes by P' in the point's own section.
+        rate = torch.eye(c, dtype=q.dtype, device=q.device)
+        if self.part_second is not None:
+            rate = self.part_first.to(q) + 2.0 * points.fraction[..., None, None] * self.part_second.to(q)
+        rate = points.own[..., None, None] * rate
+        moved = (rate @ _lengthened(self._own(q), L0)[..., None, :, :, None]).flatten(-3, -2)
+        along = (rate.mT @ of_parts.gradient.unflatten(-1, (-1, c)).unsqueeze(-1)).flatten(-3, -2)
+        slide = pulled(of_parts.hessian @ moved) + chosen(along)
+        hessian = pulled(pulled(of_parts.hessian).mT)
+        return PointDerivatives(pulled(of_parts.gradient.unsqueeze(-1)).squeeze(-1), hessian, slide.squeeze(-1))
 
     def strain(self, q: Tensor, L0: Tensor, points: MaterialPoints) -> Tensor:
         """The strain (..., k, 6) of the points' own sections there."""

@@ -19,7 +19,7 @@ from torch import Tensor
 
 from apcc_torch.lie import so3
 from apcc_torch.lie.stumpff import Stumpff, stumpff, stumpff_c7
-from apcc_torch.model.chain import flatten_columns, prefix_rotations
+from apcc_torch.model.chain import SecondOrder, assembled, flatten_columns, prefix_rotations
 from apcc_torch.modes import full_precision
 
 
@@ -75,17 +75,18 @@ class StrainChain(NamedTuple):
         """(..., 3) position of the last tip, m."""
         return self.ends[..., -1, :]
 
-    def last(self) -> StrainChain:
-        """Of chains (..., k) to several points, the one to the last point."""
-        twists = self.twists
-        part = None if twists.part is None else twists.part.select(-4, -1)
-        twist, directions = twists.twist.select(-4, -1), twists.directions.select(-5, -1)
-        c = Stumpff(*(value.select(-3, -1) for value in self.c))
-        before, spin, reach = (value.select(-4, -1) for value in (self.before, self.spin, self.reach))
-        ends, rotation = self.ends.select(-3, -1), self.rotation.select(-3, -1)
-        return StrainChain(
-            twists._replace(twist=twist, directions=directions, part=part), c, before, ends, rotation, spin, reach
+    def at(self, points: int | slice) -> StrainChain:
+        """Of chains (..., k) to several points, the one to a point, or those to some of them; a point is the tip."""
+        twists, rest = self.twists, [slice(None)] * 3
+        chosen = twists._replace(
+            twist=twists.twist[..., points, *rest],
+            directions=twists.directions[..., points, *rest, slice(None)],
+            part=None if twists.part is None else twists.part[..., points, *rest],
         )
+        c = Stumpff(*(v[..., points, :, :] for v in self.c))
+        before, spin, reach = (v[..., points, *rest] for v in (self.before, self.spin, self.reach))
+        ends, rotation = (v[..., points, :, :] for v in (self.ends, self.rotation))
+        return StrainChain(chosen, c, before, ends, rotation, spin, reach)
 
     @full_precision
     def tip_jacobian(self) -> Tensor:
@@ -95,9 +96,36 @@ class StrainChain(NamedTuple):
     @full_precision
     def body_jacobian(self) -> Tensor:
         """Body twist (..., 6, n) of the tip for unit rates of the coordinates, rows angular then linear."""
+        return self._gathered(self._body_columns())
+
+    @full_precision
+    def second_order(self, gradient: Tensor, slope: Tensor) -> SecondOrder:
+        """See `SecondOrder`, by all c coordinates a of every section; arguments as `KinematicModel.second_order`."""
+        shape, columns = self.twists.twist.shape[-3:-1], self._body_columns()
+        turn, pull = (self.rotation.unsqueeze(-3) @ gradient.unflatten(-1, (2, 3)).unsqueeze(-1)).unbind(-3)
+        arm = (self.tip.unsqueeze(-2) - self.ends).unsqueeze(-1)
+        pull = pull.unsqueeze(-3).expand_as(arm)
+        swing = self.spin.mT @ torch.linalg.cross(self.reach, pull.expand_as(self.reach), dim=-2)
+        # At each rod's own tip, in the axes of its base.
+        turn = self.before.mT @ (turn.unsqueeze(-3) + torch.linalg.cross(arm, pull, dim=-2))
+        pull = self.before.mT @ pull
+        bent = []
+        for along in torch.eye(columns.shape[-1], dtype=gradient.dtype, device=gradient.device):
+            spin, reach = self._columns_rate(along.expand(*columns.shape[:-2], -1).unsqueeze(-1))
+            bent.append(turn.mT @ spin + pull.mT @ reach)
+        own = (0.5 * (torch.cat(bent, dim=-2) - swing)).unflatten(-3, shape)
+        # Of two rods of one section the later one's velocity changes with the earlier one's coordinates no more.
+        of_rods = columns.unflatten(-3, shape)
+        before = of_rods.cumsum(-3) - 0.5 * of_rods
+        half = (own + of_rods.mT @ slope[..., None, None, :, :] @ before).sum(-3)
+        J = flatten_columns(of_rods.sum(-3))
+        return SecondOrder((J.mT @ gradient.unsqueeze(-1)).squeeze(-1), assembled(J.mT @ slope @ J, half))
+
+    def _body_columns(self) -> Tensor:
+        """(..., m, 6, c) body twist of the tip for unit rates of the coordinates of each rod."""
         both = torch.cat((self.spin, self._linear(self.spin, self.reach)), dim=-1)
         angular, linear = (self.rotation.mT.unsqueeze(-3) @ both).split_with_sizes((both.shape[-1] // 2,) * 2, dim=-1)
-        return self._gathered(torch.cat((angular, linear), dim=-2))
+        return torch.cat((angular, linear), dim=-2)
 
     @full_precision
     def jacobian_rate(self, qdot: Tensor) -> Tensor:

@@ -157,7 +157,7 @@ def replay(
     pi_hat = pi_hat.expand(len(tip), *pi_hat.shape)
     codes = (gated.verdict.position_reason, gated.verdict.orientation_reason)
     return ReplayLog(
-        gated.time, gated.T, result.q_bar, qdot_bar, pi_hat, *result[1:-1], *codes, tip, torch.zeros_like(tip)
+        gated.time, gated.T, result.q_bar, qdot_bar, pi_hat, *result[1:], *codes, tip, torch.zeros_like(tip)
     )
 
 
@@ -246,7 +246,7 @@ def _run(
         before = state.pi_hat
         measurement = Measurement(gated.T[i], gated.time[i], shown[i], oriented[i])
         state, command = controller(state, measurement, Target(target.x_d[i], target.xdot_d[i]))
-        rows.append((state.q_bar, state.qdot_bar, before, *command.feedback[1:-1], command.e))
+        rows.append((state.q_bar, state.qdot_bar, before, *command.feedback[1:], command.e))
     columns = [torch.stack(column) for column in zip(*rows, strict=True)]
     tip = controller.backbone.tip(columns[0], columns[2])
     codes = (gated.verdict.position_reason, gated.verdict.orientation_reason)

@@ -91,7 +91,7 @@ def test_a_step_is_its_parts(regressor: str, velocity: str) -> None:
         if regressor == "partial":
             Y = c.backbone.regressor(estimate.q_bar, rate)[0]
         else:
-            Y = c.regressor(estimate.q_bar, rate, state.pi_hat)
+            Y = c.regressor(estimate.q_bar, rate, state.pi_hat, T=T)
         law = c.laws[0]
         assert isinstance(law, AdaptiveLaw)
         pi_hat = law(state.pi_hat, Y, e, stamp(0.01).expand(4))

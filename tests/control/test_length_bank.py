@@ -6,13 +6,15 @@ import itertools
 
 import pytest
 import torch
-from hypothesis import given
+from hypothesis import given, settings
 from torch import Tensor
 
+from apcc_torch.control.adaptation import AdaptiveLaw, NormalisedLaw
 from apcc_torch.control.controller import APCCController
 from apcc_torch.control.inverse_kinematics import InverseKinematics
 from apcc_torch.control.length_bank import UNSEEN, BankEvidence, LengthBank, Shares, candidates, lists_of
 from apcc_torch.control.length_bounds import LengthBounds
+from apcc_torch.control.length_law import LengthLaw
 from apcc_torch.control.residual_adaptation import ResidualLaw
 from apcc_torch.control.step_io import Measurement, Target
 from apcc_torch.errors import ConfigError, ValueRangeError
@@ -27,7 +29,7 @@ from apcc_torch.model.stiffness import scaled_stiffness
 from apcc_torch.model.tendons import rack_routing
 from arms import HANGING_BASE, PI, configurations
 from law_steps import law_step
-from laws import bits, generator, seeds
+from laws import bits, generator, seeds, uniform
 
 D = torch.float64
 BACKBONE = PCCBackbone(3, HANGING_BASE)
@@ -70,10 +72,38 @@ def test_the_models_are_all_combinations_that_keep_the_total_length() -> None:
     torch.testing.assert_close(found.sum(-1), PI.sum().expand(9))
     want = {(round(float(PI[0]) * a, 6), round(float(PI[1]) * b, 6)) for a, b in itertools.product(SHARES, SHARES)}
     assert {(round(float(a), 6), round(float(b), 6)) for a, b, _ in found} == want
-    # A combination that leaves nothing for the last section is left out, in every row alike.
-    rows = torch.stack((PI, 1.1 * PI)).unsqueeze(1)
-    long = models(rows, (1.0, 1.9))
-    assert long.shape == (2, 1, 2, 3) and bool((long > 0).all())
+
+
+@settings(max_examples=2)
+@given(seed=seeds)
+def test_a_row_is_the_same_alone_and_in_a_batch(seed: int) -> None:
+    # Arms so different that the sensors tell other combinations of each.
+    rng = generator(seed)
+    nominal = PI * uniform((4, 3), 0.6, 1.3, D, rng)
+    q = uniform((4, 9), -0.4, 0.4, D, rng) * torch.tensor([1.0, 1.0, 0.02] * 3, dtype=D)
+    T, dt = BACKBONE.pose(q, nominal, *decouple(SENSORS, nominal)), DT
+
+    def followed(rows: int | slice) -> Tensor:
+        laws: list[LengthLaw] = [
+            LengthBank(nominal[rows], FEEDBACK, shares=SHARES, stretch=1.0, **{**QUICK, "memory": 0.5}),
+            ResidualLaw(nominal[rows], FEEDBACK),
+            NormalisedLaw(3),
+            AdaptiveLaw(3, regressor="partial"),
+        ]
+        pi = (nominal * 1.02)[rows]
+        memories = [law.initial_memory(q[rows], pi) for law in laws]
+        for _ in range(7):
+            step = law_step(FEEDBACK, q[rows], pi, T[rows], dt)._replace(qdot=q[rows], e=0.1 * q[rows][..., :3])
+            speeds = []
+            for k, law in enumerate(laws):
+                speed, memories[k] = law.speed(step, memories[k])
+                speeds.append(speed)
+            pi = pi + dt * speeds[0]
+        return torch.stack(speeds, dim=-2)
+
+    together = followed(slice(None))
+    for row in range(2):
+        torch.testing.assert_close(together[row], followed(row), rtol=1e-9, atol=1e-9)
 
 
 def test_every_section_may_have_shares_of_its_own() -> None:

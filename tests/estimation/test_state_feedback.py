@@ -394,7 +394,7 @@ def test_what_follows_an_inference_is_the_sensitivity_at_its_end(mode: str, dtyp
     q_bar = inference.feedback.q_bar
     assert have.dtype == dtype
     torch.testing.assert_close(chain.tip, estimator.backbone.tip(q_bar, PI.to(dtype)).expand(2, 5, 3))
-    want = estimator.sensitivity(q_bar, PI.to(dtype), mask)
+    want = estimator.sensitivity(q_bar, PI.to(dtype), mask, T=T.to(dtype))
     torch.testing.assert_close(*torch.broadcast_tensors(have, want), rtol=1e-9, atol=1e-9)
 
 

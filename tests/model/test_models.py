@@ -105,7 +105,7 @@ def test_jacobians_are_the_derivatives_of_poses(name: str, seed: int, n: int) ->
 def test_the_last_of_chains_to_points_is_the_whole_arm(name: str, seed: int, n: int) -> None:
     model, q, L0 = random_model(name, seed, n)
     points = model.material_points(L0, *decouple(along(L0, 3, seed), L0)).with_tip(L0)
-    last, whole = model.chain_to(q, points).last(), model.chain(q, L0)
+    last, whole = model.chain_to(q, points).at(-1), model.chain(q, L0)
     qdot = normal((model.n,), D, generator(seed))
     for have, want in (
         (last.tip, whole.tip),
