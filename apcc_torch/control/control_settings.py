@@ -6,16 +6,15 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from typing import Any, Self
 
-from apcc_torch.control.adaptation import NormalisedLawSettings
 from apcc_torch.control.inverse_kinematics import InverseKinematicsSettings
 from apcc_torch.control.length_bounds import LengthBoundsSettings
 from apcc_torch.control.length_law import LengthLaw
 from apcc_torch.control.residual_adaptation import ResidualLawSettings
+from apcc_torch.control.shape_law import ShapeLawSettings
 from apcc_torch.control.task_integral import TaskIntegralSettings
 from apcc_torch.errors import ConfigError
 from apcc_torch.estimation.pose_filter import PoseFilterSettings
 from apcc_torch.estimation.savitzky_golay import SavitzkyGolaySettings
-from apcc_torch.estimation.shape_feedback import ShapeFeedbackSettings
 from apcc_torch.estimation.state_feedback import StateFeedbackSettings
 from apcc_torch.model.backbone import PCCBackbone
 from apcc_torch.model.kinematic_model import KinematicModel
@@ -62,16 +61,13 @@ class ControlSettings(Settings):
 
     model: Settings = setting(factory=PCCBackbone.settings_type, meaning="the kinematic model", base=KinematicModel)
     feedback: StateFeedbackSettings = setting(factory=StateFeedbackSettings, meaning="algorithm 2")
-    shape: ShapeFeedbackSettings | None = setting(
-        None, "", OURS, "q_bar from the arm's shape, where the controller is adaptive; null: from algorithm 2 alone"
-    )
     pose_filter: PoseFilterSettings | None = setting(
         None, "", OURS, "of the sensors' poses; null: as they are measured"
     )
     velocity_filter: SavitzkyGolaySettings = setting(factory=SavitzkyGolaySettings, meaning="derivative of q_bar")
     controller: ControllerKeys = setting(factory=ControllerKeys, meaning="inverse kinematics and the controller's own")
     adaptation: Settings | None = setting(
-        factory=NormalisedLawSettings, meaning="law of the rest lengths; null: none", base=LengthLaw
+        factory=ShapeLawSettings, meaning="law of the rest lengths; null: none", base=LengthLaw
     )
     residual: Settings | None = setting(
         factory=ResidualLawSettings, meaning="a second law, of the sensors' residuals; null: none", base=LengthLaw

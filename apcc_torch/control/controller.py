@@ -102,7 +102,7 @@ class APCCController(Part):
         self.integral = integral
         self.shape = shape if s.adaptive else None
         if self.shape is not None and any(law.needs_sensitivity for law in self.laws):
-            raise ConfigError("a law along the derivative of algorithm 2's q_bar, as Eq. (15) here, needs shape=none")
+            raise ConfigError("a law along the derivative of algorithm 2's q_bar, cannot run beside a law of the shape")
         self.routing = routing
         self.hold(s)
 
@@ -136,7 +136,7 @@ class APCCController(Part):
             routing=arm.routing(),
             pose_filter=None if control.pose_filter is None else PoseFilter(control.pose_filter),
             integral=None if control.integral is None else TaskIntegral(control.integral),
-            shape=None if control.shape is None else ShapeFeedback.on(arm, backbone, control.shape),
+            shape=next((each for law in laws if (each := law.shape_feedback(arm, backbone)) is not None), None),
             **parts,
         )
 

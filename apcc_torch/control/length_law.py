@@ -8,7 +8,9 @@ from typing import Any, NamedTuple, Self
 from torch import Tensor
 
 from apcc_torch.estimation.feedback import Inference
+from apcc_torch.estimation.shape_feedback import ShapeFeedback
 from apcc_torch.estimation.state_feedback import StateFeedback
+from apcc_torch.model.arm import Arm
 from apcc_torch.model.kinematic_model import KinematicModel, Placed
 from apcc_torch.part import Part
 from apcc_torch.settings import Settings
@@ -82,6 +84,15 @@ class LengthLaw(Part, ABC):
             settings: Of `settings_type`.
         """
         return cls(nominal, feedback, settings)
+
+    def shape_feedback(self, arm: Arm, backbone: KinematicModel) -> ShapeFeedback | None:
+        """What gives q_bar in place of algorithm 2 where this law runs; None for algorithm 2.
+
+        Args:
+            arm: As it is believed to be.
+            backbone: The controller's model.
+        """
+        return None
 
     @property
     def metric(self) -> Tensor | None:
