@@ -102,7 +102,7 @@ class APCCController(Part):
         self.integral = integral
         self.shape = shape if s.adaptive else None
         if self.shape is not None and any(law.needs_sensitivity for law in self.laws):
-            raise ConfigError("a law along the derivative of algorithm 2's q_bar, cannot run beside a law of the shape")
+            raise ConfigError("a law along the derivative of algorithm 2's q_bar cannot run beside a law of the shape")
         self.routing = routing
         self.hold(s)
 
@@ -253,7 +253,9 @@ class APCCController(Part):
         if self.pose_filter is not None and expected is not None:
             expected = self.pose_filter.moved(expected, self.backbone, inference.problem.points, q_bar, q_d - state.q_d)
         stamp = measurement.time.expand_as(dt)
-        later = ControllerState(q_bar, qdot_bar, pi_hat, q_d, qdot, filtered, stamp, memories, expected, integral, shape)
+        later = ControllerState(
+            q_bar, qdot_bar, pi_hat, q_d, qdot, filtered, stamp, memories, expected, integral, shape
+        )
         return later, Command(qdot, q_d, y, e, inference.feedback, limits)
 
     def _inferred(

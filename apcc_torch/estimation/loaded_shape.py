@@ -141,7 +141,9 @@ class LoadedShape(Part):
         load = torch.zeros_like(strain[..., 0])
         sag = torch.zeros_like(self._spread(strain))
         mass = self._mass(strain)
-        return ShapeState(strain, load, (aligned(self.load, 0) * mass).square().expand_as(load), torch.stack((sag, sag), -2))
+        return ShapeState(
+            strain, load, (aligned(self.load, 0) * mass).square().expand_as(load), torch.stack((sag, sag), -2)
+        )
 
     def configuration(self, state: ShapeState) -> Tensor:
         """q_f (..., n_f) of the arm's pieces: rad, rad, m."""
@@ -180,12 +182,18 @@ class LoadedShape(Part):
             sag,
         )
         finite = torch.isfinite(step).all(-1)
-        return ShapeState(*(torch.where(finite[(..., *(None,) * (new.dim() - finite.dim()))], new, old)
-                            for new, old in zip(moved, state, strict=True)))
+        return ShapeState(
+            *(
+                torch.where(finite[(..., *(None,) * (new.dim() - finite.dim()))], new, old)
+                for new, old in zip(moved, state, strict=True)
+            )
+        )
 
     def _spread(self, strain: Tensor) -> Tensor:
         """S c: each piece takes an equal part of its section's strain (..., n_f)."""
-        return (strain.unflatten(-1, (-1, 1, 3)) / self.refine).expand(*strain.shape[:-1], -1, self.refine, 3).flatten(-3)
+        return (
+            (strain.unflatten(-1, (-1, 1, 3)) / self.refine).expand(*strain.shape[:-1], -1, self.refine, 3).flatten(-3)
+        )
 
     def _gathered(self, J: Tensor) -> Tensor:
         """J S (..., n) of J (..., n_f)."""
@@ -237,7 +245,7 @@ class LoadedShape(Part):
         off = y - (B.mT @ q.unsqueeze(-1)).squeeze(-1)
         known = torch.isfinite(off)
         scale = known.to(q) / aligned(self.tendon_noise, 1)
-        each = (B.mT @ state.sag[..., 1, :, None])
+        each = B.mT @ state.sag[..., 1, :, None]
         row = torch.cat((self._gathered(B.mT).expand(*each.shape[:-1], -1), each), dim=-1)
         return (
             torch.cat((r, torch.where(known, off, 0.0) * scale), dim=-1),

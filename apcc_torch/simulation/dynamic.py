@@ -176,7 +176,9 @@ class ClosedLoop(Part):
         plant, arm = self.plant, now.plant
         sensors, seen, mask = self.sensors.read(now.sensors, self.poses(arm.arm.q), draws)
         target = self.trajectory(time)
-        state, command = self.controller(now.controller, Measurement(seen, time, mask, forces=now.u, tendons=plant.lengths(arm.arm.q)), target)
+        state, command = self.controller(
+            now.controller, Measurement(seen, time, mask, forces=now.u, tendons=plant.lengths(arm.arm.q)), target
+        )
         y = command.y
         assert y is not None  # the controller has a routing
         force = command.force

@@ -54,7 +54,9 @@ def test_it_is_the_equilibrium_under_the_load(name: str, oriented: bool) -> None
     q = at_rest(arm, payload).q
     T, y = measured(arm, q)
     # Weights so firm that the priors have no say.
-    shape = LoadedShape.on(arm, LoadedShapeSettings(position_noise=1e-5, angular_noise=1e-4, tendon_noise=1e-5, load=50.0, load_rate=50.0))
+    shape = LoadedShape.on(
+        arm, LoadedShapeSettings(position_noise=1e-5, angular_noise=1e-4, tendon_noise=1e-5, load=50.0, load_rate=50.0)
+    )
     state = estimated(shape, T, y, oriented)
     assert (shape.configuration(state) - q).abs().max() < 2e-4
     assert (state.load - payload).abs().max() < 2e-3
@@ -88,7 +90,9 @@ def test_an_unknown_tendon_is_left_out_and_a_row_without_a_finite_step_stays() -
     q = at_rest(arm, torch.tensor([0.2, 0.2], dtype=D)).q
     T, y = measured(arm, q)
     y[0, 2] = torch.nan
-    shape = LoadedShape.on(arm, LoadedShapeSettings(position_noise=1e-5, angular_noise=1e-4, tendon_noise=1e-5, load=50.0, load_rate=50.0))
+    shape = LoadedShape.on(
+        arm, LoadedShapeSettings(position_noise=1e-5, angular_noise=1e-4, tendon_noise=1e-5, load=50.0, load_rate=50.0)
+    )
     state = estimated(shape, T, y)
     assert (shape.configuration(state)[0] - q[0]).abs().max() < 2e-4
     usable = torch.ones(2, 3, dtype=torch.bool)
