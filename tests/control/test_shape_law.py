@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 
-from apcc_torch import Arm, APCCController, Measurement, Target, compose, decouple
+from apcc_torch import APCCController, Arm, Measurement, Target, compose, decouple
 from apcc_torch.control.adaptation import AdaptiveLawSettings
 from apcc_torch.control.composite_controller import CompositeController
 from apcc_torch.control.shape_law import ShapeLaw, ShapeLawSettings
@@ -45,7 +45,7 @@ def test_psi_falls_to_nothing_and_the_shape_is_followed_from_any_start(first: fl
     off = (controller.backbone.points(state.q_bar, state.pi_hat, 31) - fine).norm(dim=-1)
     assert off.mean() < 3e-3
     assert state.shape is not None
-    assert 0.1 < float(state.shape.shape.load) < 0.5  # drawn to its prior: so slight a bend hardly tells it
+    assert abs(float(state.shape.shape.load) - 0.4) < 0.05
 
 
 def test_the_tendons_are_told_what_the_arm_s_own_sections_do() -> None:
@@ -58,7 +58,7 @@ def test_the_tendons_are_told_what_the_arm_s_own_sections_do() -> None:
 
 
 def test_a_gap_in_the_sensors_holds_the_rest_lengths_and_q_d() -> None:
-    controller, state, command, _, y = held(ARM, 0.4, 100)
+    controller, state, _, _, y = held(ARM, 0.4, 100)
     T = torch.full((3, 4, 4), torch.nan, dtype=D)
     target = Target(torch.zeros(3, dtype=D), torch.zeros(3, dtype=D))
     later, _ = controller(state, Measurement(T, state.time + 0.02, tendons=y), target)
@@ -82,7 +82,7 @@ def test_over_a_long_period_no_more_than_the_elongation_is_taken_over() -> None:
 
 
 def test_what_cannot_run_beside_it_is_refused() -> None:
-    with pytest.raises(ConfigError, match="without a model|learns at q_bar"):
+    with pytest.raises(ConfigError, match="needs q_bar of algorithm 2"):
         CompositeController(APCCController.for_arm(ARM))
     eq_15 = APCCController.for_arm(ARM, adaptation=AdaptiveLawSettings())
     shape = ShapeFeedback.on(ARM, eq_15.backbone, ShapeLawSettings())

@@ -88,7 +88,7 @@ def test_it_ends_at_the_least_of_its_cost() -> None:
 
 
 def test_no_arc_loses_its_length_and_a_row_that_is_not_finite_stays() -> None:
-    model, fit = MODELS["pcc"], ArcFit(MODELS["pcc"], L0)
+    fit = ArcFit(MODELS["pcc"], L0)
     points = torch.zeros(2, N, 3, dtype=D)  # a curve of no length at all
     points[1] = torch.nan
     found = fitted(fit, points, L0)
