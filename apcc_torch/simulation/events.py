@@ -19,7 +19,13 @@ class ArmEventsSettings(Settings):
     """Settings of `ArmEvents`. The clock starts when the arm has settled."""
 
     taken: Setting = setting(
-        0.0, "kg", OURS, "that the tip takes up; negative: that it lets go of, at most what it carries", rows="number"
+        0.0,
+        "kg",
+        OURS,
+        "that the tip takes up; negative: that it lets go of, at most what it carries",
+        rows="number",
+        least=-1000,
+        most=1000,
     )
     taken_at: Setting = setting(5.0, "s", OURS, "when it does", rows="number", least=0)
     growth: Numbers = setting(
