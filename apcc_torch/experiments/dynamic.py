@@ -20,7 +20,6 @@ from apcc_torch.control.length_bounds import LengthBounds
 from apcc_torch.control.trajectory import Trajectory
 from apcc_torch.experiments.folder import RunFolder, progress_bar, warn
 from apcc_torch.model.abscissae import decouple
-from apcc_torch.model.backbone import PCCBackbone
 from apcc_torch.model.dynamics_regressor import PARAMETERS
 from apcc_torch.model.kinematic_model import KinematicModel
 from apcc_torch.report import dynamic as figures
@@ -31,6 +30,7 @@ from apcc_torch.report.style import Draw, attempt, save_figures
 from apcc_torch.simulation.divergence import Divergence, sentence
 from apcc_torch.simulation.dynamic import DynamicLog, DynamicSettings, simulate_dynamic
 from apcc_torch.simulation.metrics import backbone_error, mapping_error, orientation_error
+from apcc_torch.simulation.plant import Plant
 from apcc_torch.simulation.progress import Progress
 
 INSTANTS = 200
@@ -42,7 +42,7 @@ SETTLED = 0.01
 class Arms(NamedTuple):
     """The true arm and the model of a run, and what judges whether they ran away."""
 
-    true: PCCBackbone
+    true: KinematicModel
     true_lengths: Tensor  # (n_t,) m
     model: KinematicModel
     sensors: Tensor  # (k,) m
@@ -99,7 +99,7 @@ def simulate(
             progress or progress_bar(label, config.progress),
             build.true_sensors_at(),
         )
-    return Outcome(log, _arms_of(build, controller, plant.backbone, plant.dynamics.lengths, payload))
+    return Outcome(log, _arms_of(build, controller, plant))
 
 
 def _rows(build: Builder) -> tuple[Trajectory, Tensor]:
@@ -135,25 +135,18 @@ def metrics(outcome: Outcome) -> dict[str, float]:
 
 def _arms(config: SimulateSettings) -> Arms:
     build = Builder(config)
-    lengths = build.true_lengths()
-    true = PCCBackbone(lengths.shape[-1], build.base_rotation())
-    return _arms_of(build, build.controller(), true, lengths, _rows(build)[1])
+    return _arms_of(build, build.controller(), build.plant(_rows(build)[1]))
 
 
-def _arms_of(
-    build: Builder,
-    controller: APCCController | CompositeController,
-    true: PCCBackbone,
-    lengths: Tensor,
-    payload: Tensor,
-) -> Arms:
+def _arms_of(build: Builder, controller: APCCController | CompositeController, plant: Plant) -> Arms:
     kinematic = controller.kinematic if isinstance(controller, CompositeController) else controller
+    end = torch.full_like(plant.payload, build.config.experiment.duration)
     return Arms(
-        true,
-        lengths,
+        plant.backbone,
+        plant.dynamics.lengths,
         kinematic.backbone,
         kinematic.feedback.abscissae,
-        true_parameters(build, payload),
+        true_parameters(build, plant.events.payload(plant.payload, end)),
         build.divergence(),
         kinematic.bounds if kinematic.adaptive else None,
         1.0 / build.config.controller.rate,
