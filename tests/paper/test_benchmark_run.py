@@ -182,7 +182,7 @@ def test_laws_may_differ_in_nothing_else(whole: SimulateSettings) -> None:
     other = whole.changed(residual=None, controller=whole.controller.changed(adaptive=False))
     check_laws("run_2", {"standard": Row(whole), "adaptive": Row(other)})
     wider = whole.changed(bounds=whole.bounds.changed(lower=0.1))
-    with pytest.raises(ConfigError, match="only the law may differ between the rows of run_2.* has another bounds"):
+    with pytest.raises(ConfigError, match=r"only the law may differ between the rows of run_2.* has another bounds"):
         check_laws("run_2", {"standard": Row(whole), "adaptive": Row(wider)})
 
 
