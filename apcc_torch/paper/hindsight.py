@@ -83,9 +83,10 @@ def best_of(
         elite = every[order]
         # Spread as they are, along a valley and not across it, and around the best one: the mean of several may lie
         # between two valleys, on neither's ground.
-        spread = (elite - elite.mean(0)) / (ELITE - 1) ** 0.5
-        draws = (torch.randn(candidates, n, generator=generator, dtype=torch.float64) for n in (ELITE, size))
-        along, aside = draws
+        spread = (elite - elite.mean(0)) / max(len(elite) - 1, 1) ** 0.5
+        along, aside = (
+            torch.randn(candidates, n, generator=generator, dtype=torch.float64) for n in (len(elite), size)
+        )
         points = (elite[0] + along @ spread + LEAST * aside).clamp(0.0, 1.0)
         every, scores = torch.cat((every, points)), torch.cat((scores, score(points)))
     at = int(scores.nan_to_num(nan=torch.inf).argmin())

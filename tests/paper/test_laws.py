@@ -13,8 +13,8 @@ from apcc_torch.experiments.dynamic import metrics, simulate
 
 SHORT = [
     "~grid.comparisons.A", "~grid.comparisons.B", "~grid.comparisons.C.runs.run_1", "~grid.comparisons.C.runs.robot_2",
-    "grid.setpoints=4", "grid.payloads=[0.5]", "grid.duration=3.0", "progress=false",
-    'experiments.common=["compile=off","controller.rate=50","experiment.subset=held_out"]',
+    "grid.setpoints=4", "grid.payloads=[0.5]", "grid.duration=2.5", "progress=false",
+    'experiments.common=["compile=off","controller.rate=25","plant.substeps=4","plant.settle=1.0","experiment.subset=held_out"]',
 ]  # fmt: skip
 
 
