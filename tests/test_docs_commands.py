@@ -79,7 +79,7 @@ def composed_benchmark(*overrides: str) -> BenchmarkSettings:
         for name, comparison in config.grid.comparisons.items():
             named = [run for run in comparison.runs if f"{name}.runs.{run}" in " ".join(overrides)]
             for run in named or [*comparison.runs][:1]:
-                assert benchmark.pair(config, comparison.runs[run])
+                assert benchmark.rows(config, comparison, run)
     return config
 
 

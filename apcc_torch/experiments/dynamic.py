@@ -128,9 +128,10 @@ def arrays(outcome: Outcome) -> dict[str, Tensor]:
     return outcome.log._asdict()
 
 
-def metrics(outcome: Outcome) -> dict[str, float]:
-    """Metrics of one run."""
-    return dynamic_metrics(curves(thinned(outcome.log), outcome.arms)) | estimate_metrics(outcome)
+def metrics(outcome: Outcome, c: figures.RunCurves | None = None) -> dict[str, float]:
+    """Metrics of one run; `c` are its `curves`, where they are there already."""
+    c = curves(thinned(outcome.log), outcome.arms) if c is None else c
+    return dynamic_metrics(c) | effort_metrics(outcome.log) | estimate_metrics(outcome)
 
 
 def _arms(config: SimulateSettings) -> Arms:
@@ -212,6 +213,7 @@ def dynamic_metrics(c: figures.RunCurves) -> dict[str, float]:
         "sensor_error_linear_mean_mm": 1e3 * c.linear.mean(),
         "sensor_error_angular_mean_rad": c.angular.mean(),
         "mapping_error_mean_mm": 1e3 * c.mapping_error.mean(),
+        "mapping_error_end_mm": 1e3 * c.mapping_error[-1].mean(),
         "pi_drift_end_max_mm": 1e3 * (c.pi_hat[-1] - c.pi_hat[0]).abs().max(),
     }
     for i in range(c.linear.shape[-1]):
@@ -222,8 +224,14 @@ def dynamic_metrics(c: figures.RunCurves) -> dict[str, float]:
     return {name: float(value) for name, value in metrics.items()}
 
 
+def effort_metrics(log: DynamicLog) -> dict[str, float]:
+    """What force the tendons took."""
+    values = {"tendon_force_rms_n": log.u.square().mean().sqrt(), "tendon_force_max_n": log.u.abs().max()}
+    return {name: float(value) for name, value in values.items()}
+
+
 def estimate_metrics(outcome: Outcome) -> dict[str, float]:
-    """What a law of the dynamics has found by the end, and the force it took; nothing where there is none."""
+    """What a law of the dynamics has found by the end; nothing where there is none."""
     log, arms = outcome
     if log.theta_hat.shape[-1] == 0:
         return {}
@@ -235,8 +243,6 @@ def estimate_metrics(outcome: Outcome) -> dict[str, float]:
         "bending_rigidity_end_mean_nm2": end["bending_rigidity"].mean(),
         "axial_rigidity_end_mean_n": end["axial_rigidity"].mean(),
         "tendon_damping_end_mean_nspm": end["tendon_damping"].mean(),
-        "tendon_force_rms_n": log.u.square().mean().sqrt(),
-        "tendon_force_max_n": log.u.abs().max(),
     }
     return {name: float(value) for name, value in values.items()}
 
@@ -302,7 +308,7 @@ def run(config: SimulateSettings, folder: Path) -> dict[str, float]:
     name = _name(config)
     outcome = simulate(config, label=f"{config.experiment.name}, {name}")
     c = curves(thinned(outcome.log), outcome.arms)
-    values = dynamic_metrics(c) | estimate_metrics(outcome)
+    values = metrics(outcome, c)
     warn(sentence(c.time, c.diverged))
     values["wall_s"] = time.perf_counter() - started
     RunFolder(folder).write(values, arrays(outcome), config.seed)
