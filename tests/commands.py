@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 
 import apcc_torch
+from started import ran
 
 ROOT = Path(apcc_torch.__file__).resolve().parents[1]
 
@@ -37,6 +38,8 @@ def command(*arguments: str) -> list[str]:
 def simulate(cwd: Path, *arguments: str, package: Path = ROOT) -> subprocess.CompletedProcess[str]:
     """Runs the simulate command from the folder `cwd`, which is made."""
     cwd.mkdir(parents=True, exist_ok=True)
+    if package == ROOT:
+        return ran("apcc_torch.simulate", [*arguments], cwd, environment())
     return subprocess.run(
         command(*arguments), cwd=cwd, env=environment(package), capture_output=True, text=True, check=False, timeout=300
     )

@@ -56,13 +56,15 @@ class Scene:
     """A calibrated platform, and the way the controller is spoilt.
 
     spoilt: What is made of every decision of the controller. held_up: s that pass between taking a frame and its use.
-    over: What is to be taken back once the run is over. loop: The run's, once it turns.
+    reply_timeout: s that the motors may take for a reply. over: What is to be taken back once the run is over. loop:
+    The run's, once it turns.
     """
 
     platform: EmulatedPlatform
     calibration: Path
     over: ExitStack
     held_up: float = 0.0
+    reply_timeout: float = 10.0
     spoilt: Callable[[Decision], Decision] = field(default=lambda decision: decision)
     loop: Loop | None = None
 
@@ -129,6 +131,16 @@ def full_disk() -> Fault:
 def stopped() -> Fault:
     """A process that is stopped for a while and goes on; it has to be one of its own."""
     return Fault("a stopped process", lambda scene: None, R.PAUSED, "the loop stood still for [1-9]", HELD)
+
+
+def unanswered(make: Make) -> Make:
+    """A fault of which motors that say nothing, or nonsense, are a part: nobody waits long for them."""
+
+    def made(scene: Scene) -> None:
+        scene.reply_timeout = 0.6
+        make(scene)
+
+    return made
 
 
 def servo(order: str, **details: float) -> Make:
@@ -201,7 +213,8 @@ def far(decision: Decision) -> Decision:
 
 def failed(name: str, make: Make, said: str, alone: tuple[int, ...] = ()) -> Fault:
     """Motors that cannot be understood any more."""
-    return Fault(name, make, R.COMMUNICATION, said, LET_GO, alone=alone, limits={"guards.failed_exchanges": 2})
+    few = {"guards.failed_exchanges": 2}
+    return Fault(name, unanswered(make), R.COMMUNICATION, said, LET_GO, alone=alone, limits=few)
 
 
 def reported(name: str, make: Make, said: str) -> Fault:
@@ -238,7 +251,7 @@ def first(
 ) -> Fault:
     """A fault that is there before the program starts."""
     had = () if torqued is None else (torqued,)
-    return Fault(name, make, reason, said, UNTOUCHED, BEFORE, torqued=had, settings=settings)
+    return Fault(name, unanswered(make), reason, said, UNTOUCHED, BEFORE, torqued=had, settings=settings)
 
 
 BODIES = [2, 3, 4]

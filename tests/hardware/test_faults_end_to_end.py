@@ -24,6 +24,7 @@ import pytest
 
 from apcc_torch import robot
 from apcc_torch.hardware.control import Control
+from apcc_torch.hardware.dynamixel.port import BusPort
 from apcc_torch.hardware.interfaces import PoseSample
 from apcc_torch.hardware.log_reader import RobotLog, read_log
 from apcc_torch.hardware.loop import Loop
@@ -31,7 +32,7 @@ from apcc_torch.hardware.sensing import GatedFrame, Sensing
 from apcc_torch.hardware.stops import StopReason
 from apcc_torch.robot_log import main as robot_log
 from hardware.emulators.rig import MOTORS, EmulatedPlatform
-from hardware.faults import AT_ONCE, BEFORE, HOLD, UNDER_WAY, Fault, Left, Scene, full_disk, stopped
+from hardware.faults import AT_ONCE, BEFORE, HOLD, UNDER_WAY, Fault, Left, Scene, full_disk, stopped, unanswered
 from hardware.platform_runs import DEADLINE, SLOW, arguments, calibrated, moving, program, until
 
 STATES = {
@@ -62,7 +63,10 @@ def scene(platform: EmulatedPlatform, tmp_path: Path, monkeypatch: pytest.Monkey
         return frame
 
     with ExitStack() as over:
-        scene = Scene(platform, calibrated(platform, tmp_path), over)
+        scene = Scene(platform, tmp_path / "arm.json", over)
+        patience = property(lambda port: scene.reply_timeout, lambda port, seconds: None)
+        monkeypatch.setattr(BusPort, "reply_timeout", patience, raising=False)
+        assert calibrated(platform, tmp_path) == scene.calibration
         monkeypatch.setattr(Control, "decide", lambda *given: scene.spoilt(decide(*given)))
         monkeypatch.setattr(Sensing, "look", looked)
         monkeypatch.setattr(Loop, "run", turning)
@@ -229,7 +233,7 @@ def test_small_faults_do_not_end_a_run(scene: Scene, monkeypatch: pytest.MonkeyP
         for motor, kind in zip(MOTORS, ("mute", "corrupt", "short", "cut"), strict=False):
             scene.platform.servos.do(kind, motor, count=1, amount=2)
 
-    small = Fault.survived("small faults", make)
+    small = Fault.survived("small faults", unanswered(make))
     assert ran(scene, small, monkeypatch) == 0
     log = check_log(scene.folder, small)
     failed = [event["message"] for event in log.events if event["kind"] == "exchange_failed"]
