@@ -15,13 +15,13 @@ import pytest
 
 from apcc_torch.report import __main__ as program
 from apcc_torch.report.collect import collect
-from odd_values import odd_mapping, odd_text, odd_value
+from odd_values import odd_mapping, odd_text, odd_value, seeds
 
 WriteRun = Callable[..., Path]
 SETTINGS = {"gain": {"scale": 0.1}, "seed": 0}
 METRICS = {"m_mm": 1.5, "wall_s": 1.0}
 MUTATIONS = 100
-"""Damaged folders that are tried; a longer search takes a larger number."""
+"""Damaged folders that are tried where nobody asks for more."""
 NAMES = (
     "b", "b b'\"", "b\nc", "b\udcff", "ü\U0001f916", "=1+1", "\x1b[2J", "-b", "$b %s", "<b>", ".failed", "x" * 200,
     "b.failed",
@@ -75,7 +75,7 @@ def test_whatever_is_in_a_folder_the_others_are_reported(
 ) -> None:
     runs = tmp_path / "all"
     whole = write_run(runs / "a", SETTINGS, METRICS)
-    for seed in range(MUTATIONS):
+    for seed in seeds(MUTATIONS):
         random = Random(seed)
         name = random.choice(NAMES)
         write_run(runs / name, SETTINGS, METRICS, ["gain.scale=0.1"])
