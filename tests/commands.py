@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 
 import apcc_torch
+from started import ran
 
 ROOT = Path(apcc_torch.__file__).resolve().parents[1]
 
@@ -34,9 +35,11 @@ def command(*arguments: str) -> list[str]:
     return [sys.executable, "-m", "apcc_torch.simulate", *arguments]
 
 
-def simulate(cwd: Path, *arguments: str, package: Path = ROOT) -> subprocess.CompletedProcess[str]:
-    """Runs the simulate command from the folder `cwd`, which is made."""
+def simulate(cwd: Path, *arguments: str, package: Path = ROOT, forked: bool = True) -> subprocess.CompletedProcess[str]:
+    """Runs the simulate command from the folder `cwd`, which is made; see `started` for what is forked."""
     cwd.mkdir(parents=True, exist_ok=True)
+    if forked and package == ROOT:
+        return ran("apcc_torch.simulate", [*arguments], cwd, environment())
     return subprocess.run(
         command(*arguments), cwd=cwd, env=environment(package), capture_output=True, text=True, check=False, timeout=300
     )

@@ -10,6 +10,8 @@ import pytest
 import torch
 from hypothesis import settings
 
+from skips import no_recording, pytest_make_collect_report, pytest_runtest_makereport  # noqa: F401
+
 # Tensors are tiny here: threads cost more than they bring, and parallel test workers would compete.
 torch.set_num_threads(1)
 
@@ -24,7 +26,7 @@ def shared_data() -> Path:
     beside = Path(__file__).resolve().parents[2] / "shared" / "data"
     folder = Path(os.environ.get("APCC_DATA") or beside)
     if not folder.is_dir():
-        pytest.skip(f"no recorded data in {folder}; APCC_DATA names the folder")
+        no_recording(f"{folder} is no folder; APCC_DATA names another")
     return folder
 
 

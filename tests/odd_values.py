@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Mapping
 from random import Random
 from typing import Any
@@ -17,6 +18,12 @@ VALUES: tuple[Any, ...] = (
     None, True, False, 0, -1, 10**400, -(10**20), 2**63, 1e308, float("inf"), float("nan"), [], {}, [1.0, "a", None],
     {"a": {"b": []}}, [[]], "0.5", 0.5, [0.1] * 4, -0.0, 10**15,
 )  # fmt: skip
+
+
+def seeds(few: int) -> range:
+    """Of the damage that a test tries: `few`, or what APCC_MUTATIONS names, as in 10000 or 2000-4000."""
+    first, _, last = os.environ.get("APCC_MUTATIONS", str(few)).rpartition("-")
+    return range(int(first or 0), int(last))
 
 
 def odd_text(random: Random) -> str:

@@ -12,7 +12,6 @@ import sys
 import warnings
 from collections.abc import Callable, Iterator
 from functools import cache
-from importlib.util import find_spec
 from itertools import zip_longest
 from pathlib import Path
 from types import ModuleType
@@ -50,21 +49,25 @@ UNCHECKED_COMMANDS: dict[str, str] = {
 
 UNRUN_BLOCKS: dict[str, str] = {
     "docs/environments.md 3": "trains for minutes; tests/envs/test_libraries.py runs the adapter",
-    "docs/environments.md 4": "torchrl is not among the dev requirements",
-    "docs/environments.md 5": "skrl is not among the dev requirements",
     "docs/report.md 1": "pandas is not among the dev requirements, and the sweep is the reader's",
     "docs/speed.md 1": "builds a library for half a minute; tests/native/test_steps.py calls one",
 }
 """Block -> why it is not run."""
 
-NEEDS = {"sweep=optuna": "hydra_plugins.hydra_optuna_sweeper"}
-"""What a command holds -> the extra that it cannot be composed without."""
+NEEDS = {
+    "sweep=optuna": "hydra_plugins.hydra_optuna_sweeper",
+    "docs/environments.md 4": "torchrl",
+    "docs/environments.md 5": "skrl",
+}
+"""What a command holds, or a block -> the package that it cannot do without."""
 
 CHOSEN = ("plant", "residual", "adaptation", "model", "dynamics_law")
 """Groups whose choices have keys of their own."""
 
 COMMANDS = list({command.text: command for page in PAGES for command in commands(page)}.values())
+CHECKED = [command for command in COMMANDS if command.text not in UNCHECKED_COMMANDS]
 BLOCKS = [block for page in PAGES for block in python_blocks(page)]
+RUN = [block for block in BLOCKS if block.name not in UNRUN_BLOCKS]
 FLAGS = {"-m", "--multirun", "--batch"}
 
 
@@ -149,12 +152,11 @@ def options_of(command: Command, monkeypatch: pytest.MonkeyPatch) -> argparse.Na
     return options
 
 
-@pytest.mark.parametrize("command", COMMANDS, ids=lambda command: command.text)
+@pytest.mark.parametrize("command", CHECKED, ids=lambda command: command.text)
 def test_command(command: Command, monkeypatch: pytest.MonkeyPatch) -> None:
-    if command.text in UNCHECKED_COMMANDS:
-        pytest.skip(UNCHECKED_COMMANDS[command.text])
-    if absent := [extra for held, extra in NEEDS.items() if held in command.text and find_spec(extra) is None]:
-        pytest.skip(f"{absent[0]} is not installed")
+    for held, needed in NEEDS.items():
+        if held in command.text:
+            pytest.importorskip(needed)
     if command.program not in PROGRAMS:
         options = options_of(command, monkeypatch)
         if "settings" in options and "comparisons" in (ROOT / command.program).read_text(encoding="utf-8"):
@@ -172,10 +174,10 @@ def names_in(page: str) -> dict[str, Any]:
     return module.__dict__
 
 
-@pytest.mark.parametrize("block", BLOCKS, ids=lambda block: block.name)
+@pytest.mark.parametrize("block", RUN, ids=lambda block: block.name)
 def test_python_block(block: Block, monkeypatch: pytest.MonkeyPatch) -> None:
-    if block.name in UNRUN_BLOCKS:
-        pytest.skip(UNRUN_BLOCKS[block.name])
+    if block.name in NEEDS:
+        pytest.importorskip(NEEDS[block.name])
     monkeypatch.chdir(ROOT)
     torch.manual_seed(0)
     exec(compile(block.code, block.name, "exec"), names_in(block.page))

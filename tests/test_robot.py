@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import signal
 import subprocess
 import sys
@@ -13,12 +12,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import apcc_torch
+from apcc_torch.composition.build_realtime import RealtimeBuilder
+from apcc_torch.experiments.realtime_run import settings_of
 from apcc_torch.hardware.log_reader import read_log
+from apcc_torch.hardware.log_replay import replay
+from apcc_torch.native.function import NativeFunction
 from apcc_torch.robot_log import main as robot_log
+from commands import environment
+from started import ran
 
-ROOT = Path(apcc_torch.__file__).resolve().parents[1]
-LOCKSTEP = ("hardware=lockstep", "hardware.world.step=0.01", "plant.settle=0.5", "loop.hold=0.1")
+LOCKSTEP = ("hardware=lockstep", "hardware.world.step=0.01", "plant.settle=0.5", "loop.hold=0.1", "compile=off")
 # A busy machine may starve the loop and the arm: these runs are about how they end, not about time.
 PATIENT = (
     "loop.rate=20", "loop.warm_up=5", "loop.fresh_timeout=60", "loop.fresh_frames=1", "loop.hold=0.2",
@@ -28,17 +31,12 @@ PATIENT = (
 )  # fmt: skip
 
 
-def environment() -> dict[str, str]:
-    env = os.environ | {"PYTHONPATH": os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])}
-    env.pop("HYDRA_FULL_ERROR", None)
-    return env
-
-
 def robot(folder: Path, *arguments: str, limit: int | None = None) -> subprocess.CompletedProcess[str]:
     """Runs the command to its end; `limit` is the largest file it may write, bytes."""
-    command = [sys.executable, "-m", "apcc_torch.robot", *arguments, f"hydra.run.dir={folder / 'run'}"]
-    if limit is not None:
-        command = ["prlimit", f"--fsize={limit}", *command]
+    given = [*arguments, f"hydra.run.dir={folder / 'run'}"]
+    if limit is None:
+        return ran("apcc_torch.robot", given, folder, environment())
+    command = ["prlimit", f"--fsize={limit}", sys.executable, "-m", "apcc_torch.robot", *given]
     return subprocess.run(
         command, cwd=folder, env=environment(), capture_output=True, text=True, check=False, timeout=300
     )
@@ -96,8 +94,16 @@ def test_other_settings_replay_to_other_commands(
     assert "not the same" in capsys.readouterr().out
 
 
+def test_machine_code_gives_the_same_commands(finished: tuple[Path, str]) -> None:
+    record = read_log(finished[0] / "log.mcap")
+    control = RealtimeBuilder(settings_of(record).changed(compile="aot")).control()
+    assert isinstance(control.step, NativeFunction)
+    replayed = replay(record, control)
+    assert len(replayed.time) > 100 and replayed.difference < 1e-9
+
+
 def test_a_dry_run_moves_nothing(tmp_path: Path) -> None:
-    done = robot(tmp_path, "experiment=setpoint", "dry_run=true", "experiment.duration=0.5", "compile=off", *LOCKSTEP)
+    done = robot(tmp_path, "experiment=setpoint", "dry_run=true", "experiment.duration=0.5", *LOCKSTEP)
     assert done.returncode == 0, done.stderr
     tendons = read_log(tmp_path / "run" / "log.mcap").topic("/tendons")
     assert np.abs(tendons["y"]).max() == 0.0 and np.abs(tendons["sent"]).max() > 1e-3

@@ -287,10 +287,11 @@ def draw(outcome: Outcome, folder: Path, name: str = "run", c: figures.RunCurves
     }
     if thin.theta_hat.shape[-1] > 0:
         pictures["dynamics.png"] = lambda: dynamics_parameter_figure(thin.time, thin.theta_hat, outcome.arms.theta)
-    save_figures(pictures, folder, warning=sentence(c.time, c.diverged))
+    warning = sentence(c.time, c.diverged)
+    save_figures(pictures, folder, warning=warning)
     film = {"shape error (mm)": 1e3 * c.shape_error[:, -1], "end-effector error (mm)": 1e3 * c.e[:, -1]}
     with attempt("the film"):
-        save_animation(folder / "animation", snapshots(thin, outcome.arms, -1, None), film)
+        save_animation(folder / "animation", snapshots(thin, outcome.arms, -1, None), film, warning=warning)
 
 
 def redraw(config: SimulateSettings, arrays: dict[str, Tensor], into: Path, figured: bool, filmed: bool) -> None:

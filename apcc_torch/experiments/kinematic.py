@@ -217,7 +217,8 @@ def redraw(config: SimulateSettings, arrays: dict[str, Tensor], into: Path, figu
     if filmed:
         with attempt("the film"):
             shots, readouts = film(outcome)
-            save_animation(into / "animation", shots, readouts, max_frames=FILM_FRAMES)
+            warning = sentence(*causes(outcome))
+            save_animation(into / "animation", shots, readouts, max_frames=FILM_FRAMES, warning=warning)
 
 
 def film(outcome: Outcome) -> tuple[Snapshots, dict[str, Tensor]]:

@@ -38,6 +38,8 @@ from apcc_torch.hardware.stops import StopReason
 from apcc_torch.hardware.summary import Summary
 from apcc_torch.hardware.view import LiveView
 from apcc_torch.simulation.divergence import sentence
+from apcc_torch.simulation.kinematic import KinematicLog
+from apcc_torch.simulation.metrics import backbone_error
 
 log = logging.getLogger(__name__)
 
@@ -68,7 +70,7 @@ def run(settings: RealtimeSettings, folder: Path) -> tuple[Outcome, dict[str, fl
         attached[CALIBRATION] = calibration.text()
     attached[CONFIG] = text(settings)
     build = RealtimeBuilder(settings)
-    summary = Summary()
+    summary = Summary(devices.world.true_coordinates)
     observers: list[Observer] = [summary]
     request = StopRequest()
     setup = _setup(build, devices, request, observers, calibration)
@@ -85,7 +87,7 @@ def run(settings: RealtimeSettings, folder: Path) -> tuple[Outcome, dict[str, fl
     failure = None if log_file is None else log_file.failure()
     metrics = summary.metrics(outcome) | devices.world.metrics()
     if summary.decisions:
-        causes = _causes(build, setup.control.controller, summary.decisions)
+        causes = _causes(build, setup.control.controller, summary)
         metrics["diverged_rows"] = float(outcome.reason is StopReason.DIVERGENCE or bool(causes[-1] > 0))
         warn(sentence(_stacked("time", summary.decisions), causes))
     try:
@@ -129,16 +131,34 @@ def _stacked(name: str, decisions: list[Decision]) -> Tensor:
     return torch.from_numpy(np.array([getattr(each, name) for each in decisions]))
 
 
-def _causes(build: RealtimeBuilder, controller: APCCController, decisions: list[Decision]) -> Tensor:
-    """(T, 1) `Cause`s by which the run has diverged until each decision."""
-    settings = build.settings
+def _causes(build: RealtimeBuilder, controller: APCCController, summary: Summary) -> Tensor:
+    """(T, 1) `Cause`s by which the run has diverged until each decision, the model and, if simulated, the true arm."""
+    settings, decisions = build.settings, summary.decisions
     names = ("time", "q_bar", "pi_hat", "linear_error", "e")
     time, q_bar, pi_hat, linear, e = (_stacked(name, decisions) for name in names)
     # Nothing drives the arm to a target where tendons go their own way, or have no torque.
     driven = settings.experiment.kind != "tendons" and not settings.dry_run
     length = build.model.rest_lengths().sum()
     of = build.model.divergence()
-    return of.of_model(controller, length, time, q_bar, pi_hat, linear, e.norm(dim=-1) if driven else None)
+    causes = of.of_model(controller, length, time, q_bar, pi_hat, linear, e.norm(dim=-1) if driven else None)
+    truths = [q for q in summary.truths if q is not None]
+    if len(truths) < len(decisions):
+        return causes
+    plant = build.model.plant(build.payload())
+    true, lengths = plant.backbone, plant.dynamics.lengths
+    q_true = torch.from_numpy(np.array(truths)).to(lengths)
+    seen = _seen(decisions, q_true, true.tip(q_true, lengths), driven)
+    shape = backbone_error(true, seen.q_true, lengths, controller.backbone, seen.q_bar, seen.pi_hat)
+    bounds = controller.bounds if controller.adaptive else None
+    return causes | of.of_arm(seen, shape, lengths, true, controller.backbone, bounds)
+
+
+def _seen(decisions: list[Decision], q_true: Tensor, x: Tensor, driven: bool) -> KinematicLog:
+    """The decisions beside the true arm's coordinates (T, n) and tip (T, 3), as one row of a simulation."""
+    names = ("q_bar", "qdot", "pi_hat", "angular_error", "linear_error")
+    x_d, *model = (_stacked(name, decisions).to(q_true) for name in ("x_d", *names))
+    rows = (each.unsqueeze(1) for each in (x_d if driven else x, x, q_true, *model, _stacked("status", decisions)))
+    return KinematicLog(_stacked("time", decisions), *rows)
 
 
 def _log(build: RealtimeBuilder, devices: Devices, attached: dict[str, str], folder: Path) -> RunLog:

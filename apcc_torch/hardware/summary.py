@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Callable
 
 import numpy as np
 
 from apcc_torch.hardware.control import Decision, Start
+from apcc_torch.hardware.interfaces import Array
 from apcc_torch.hardware.records import Event, Outcome, Tick
 from apcc_torch.hardware.stage_times import StageTimes
 from apcc_torch.hardware.states import State
@@ -24,13 +26,19 @@ EVENTS = 10_000
 
 
 class Summary:
-    """Observes a run and keeps what its metrics need, in a memory that does not grow with the run."""
+    """Observes a run and keeps what its metrics need, in a memory that does not grow with the run.
 
-    def __init__(self) -> None:
+    Args:
+        truth: The true arm's coordinates (n,) at a frame, None where they are not known; see `World`.
+    """
+
+    def __init__(self, truth: Callable[[int], Array | None] = lambda sequence: None) -> None:
+        self.truth = truth
         self.events: list[Event] = []
         self.first_error: float | None = None
         self.last_errors: deque[tuple[float, float]] = deque()  # time, s, and position error, m
         self.decisions: list[Decision] = []
+        self.truths: list[Array | None] = []  # of each decision that is kept
         self.between = PERIOD
         self.times = {name: StageTimes() for name in STAGES}
         self.steps = self.incomplete = self.clamped = 0
@@ -52,20 +60,23 @@ class Summary:
             self.effort = max(self.effort, float(tick.reading.effort.max()))
         if tick.fresh and tick.decision is not None:
             self.clamped += bool(np.abs(tick.sent - tick.requested).max() > 1e-4)
-        if tick.decision is not None:
+        if tick.decision is not None and tick.frame is not None:
             self._error(tick.decision.time, float(np.linalg.norm(tick.decision.e)))
-            self._decision(tick.decision)
+            self._decision(tick.decision, tick.frame.sequence)
             self.times["control"].add(tick.control)
             self.times["compute"].add(tick.read + tick.sense + tick.control + tick.send)
             if tick.latency is not None:
                 self.times["latency"].add(tick.latency)
 
-    def _decision(self, decision: Decision) -> None:
+    def _decision(self, decision: Decision, sequence: int) -> None:
         if self.decisions and decision.time < self.decisions[-1].time + self.between:
             return
         self.decisions.append(decision)
+        # A frame that is gone by now was of an arm that stood nearly so before.
+        q = self.truth(sequence)
+        self.truths.append(self.truths[-1] if q is None and self.truths else q)
         if len(self.decisions) > DECISIONS:
-            self.decisions = self.decisions[::2]
+            self.decisions, self.truths = self.decisions[::2], self.truths[::2]
             self.between *= 2.0
 
     def _error(self, time: float, error: float) -> None:

@@ -7,6 +7,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Self
 
+import numpy as np
+from numpy.typing import NDArray
+
 from apcc_torch.hardware.clock import Clock, MonotonicClock
 from apcc_torch.part import Configurable
 from apcc_torch.settings import OURS, Settings, setting
@@ -41,6 +44,10 @@ class World(Configurable, ABC):
     def metrics(self) -> dict[str, float]:
         """What it adds to a run's metrics once the run is over."""
         return {}
+
+    def true_coordinates(self, sequence: int) -> NDArray[np.float64] | None:
+        """(n,) of the true arm as a frame of the sensors was measured; None where nobody knows them."""
+        return None
 
 
 class RealWorld(World):

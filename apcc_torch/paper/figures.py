@@ -119,5 +119,6 @@ def save_paper_figures(outcomes: Outcomes, folder: Path) -> list[Path]:
             "end-effector error (mm)": 1e3 * o.curves.e[:, 0],
         }
         with style.attempt(f"the film of {name}"):
-            paths.append(save_animation(folder / f"single_run_{name}", snapshots(o.log, o.arms, 0, None), film))
+            shots, warning = snapshots(o.log, o.arms, 0, None), sentence(o.curves.time, o.curves.diverged)
+            paths.append(save_animation(folder / f"single_run_{name}", shots, film, warning=warning))
     return paths

@@ -45,9 +45,12 @@ class Stage:
         shots: The run; see `save_animation`.
         readouts: Label with unit -> (T,).
         camera: From where.
+        warning: Stands below it.
     """
 
-    def __init__(self, shots: Snapshots, readouts: Mapping[str, Tensor], camera: Camera) -> None:
+    def __init__(
+        self, shots: Snapshots, readouts: Mapping[str, Tensor], camera: Camera, warning: str | None = None
+    ) -> None:
         self.time = values(shots.time)
         self.true, self.model = values(shots.true_points), values(shots.model_points)
         self.markers = values(shots.true_markers)
@@ -60,6 +63,7 @@ class Stage:
         self.moving: list[Artist] = []
         self._scene(camera)
         self._curves()
+        style.warned(self.figure, warning)
         for artist in self.moving:
             artist.set_animated(True)
         self.canvas.draw()
@@ -139,6 +143,7 @@ def save_animation(
     speed: float = 1.0,
     max_frames: int = 250,
     camera: Camera | None = None,
+    warning: str | None = None,
 ) -> Path:
     """Writes the film of a run: .mp4 where imageio-ffmpeg has an ffmpeg, else .gif; whole or not at all.
 
@@ -150,6 +155,7 @@ def save_animation(
         speed: Seconds of the run a second of film. A run too long for `max_frames` is shown faster.
         max_frames: Most frames.
         camera: From where.
+        warning: Stands below it: that what it shows diverged.
 
     Returns:
         The file's path.
@@ -169,7 +175,7 @@ def save_animation(
     film = has_ffmpeg()
     target = base.with_name(base.name + (".mp4" if film else ".gif"))
     with style.own_look(), draft_of(target) as draft:
-        stage = Stage(shots, readouts, Camera() if camera is None else camera)
+        stage = Stage(shots, readouts, Camera() if camera is None else camera, warning)
         indices = frame_indices(stage.time, fps, speed, max_frames)
         pictures = (stage.frame(int(k)) for k in indices)
         if film:

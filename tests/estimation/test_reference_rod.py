@@ -6,7 +6,6 @@ import csv
 import math
 from pathlib import Path
 
-import pytest
 import torch
 
 from apcc_torch import StateFeedback
@@ -15,6 +14,7 @@ from apcc_torch.estimation.weighted_estimate import weighted_estimate
 from apcc_torch.model.abscissae import decouple
 from apcc_torch.model.affine import AffineBackbone
 from apcc_torch.model.static_body import StaticBody
+from skips import no_recording
 
 D = torch.float64
 LENGTH, RADIUS, DENSITY, MODULUS = 0.4, 0.005, 1200.0, 70e6
@@ -24,7 +24,7 @@ COUNT, SECTIONS = 24, 4
 def test_the_tip_force_of_a_rod_with_known_weight_and_mid_wrench(shared_data: Path) -> None:
     path = shared_data / "sorosim_statics" / "TPURod_statics.csv"
     if not path.is_file():
-        pytest.skip("no sorosim_statics")
+        no_recording(str(path))
     with path.open() as file:
         rows = list(csv.reader(file))[2:]
     table = torch.tensor([[float(v) for v in row[1:]] for row in rows[: 6 * COUNT]], dtype=D).view(COUNT, 2, 3, -1)

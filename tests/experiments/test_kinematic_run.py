@@ -133,13 +133,21 @@ def test_metrics_by_hand() -> None:
     assert kinematic.kinematic_metrics(outcome._replace(log=lost))["diverged_rows"] == 1.0
 
 
-def test_a_run_that_runs_away_says_so_and_keeps_its_numbers(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_a_run_that_runs_away_says_so_and_keeps_its_numbers(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
     # One sensor at the tip of three sections: what it measures leaves open how long each of them is.
-    metrics = run(tmp_path, "arm.sensors=[0.6]", "experiment.duration=2.0", "controller.rate=100")
+    config = changed("kinematic", *QUICK, "arm.sensors=[0.6]", "experiment.duration=2.0", "controller.rate=100")
+    metrics = kinematic.run(config, tmp_path)
     assert metrics["diverged_rows"] == 1.0
     assert "1 of 1 rows diverged: row 0 from" in caplog.text and "elongation" in caplog.text
     assert json.loads((tmp_path / "metrics.json").read_text())["diverged_rows"] == 1.0
-    assert (tmp_path / "trajectory.npz").is_file()
+    with np.load(tmp_path / "trajectory.npz") as data:
+        arrays = {name: torch.from_numpy(data[name]) for name in data}
+    marks: list[str] = []
+    monkeypatch.setattr(kinematic, "save_animation", lambda *film, warning, **how: marks.append(warning))
+    kinematic.redraw(config, arrays, tmp_path, False, True)
+    assert len(marks) == 1 and marks[0].startswith("1 of 1 rows diverged: row 0 from")
 
 
 @pytest.mark.parametrize(

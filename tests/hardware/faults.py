@@ -7,7 +7,7 @@ import os
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from enum import Enum, auto
@@ -18,6 +18,7 @@ import numpy as np
 
 from apcc_torch.errors import ValueRangeError
 from apcc_torch.hardware.control import Decision
+from apcc_torch.hardware.loop import Loop
 from apcc_torch.hardware.stops import StopReason
 from hardware.emulators.rig import MOTORS, EmulatedPlatform
 from hardware.platform_runs import SLOW
@@ -55,19 +56,36 @@ class Scene:
     """A calibrated platform, and the way the controller is spoilt.
 
     spoilt: What is made of every decision of the controller. held_up: s that pass between taking a frame and its use.
-    over: What is to be taken back once the run is over.
+    reply_timeout: s that the motors may take for a reply. over: What is to be taken back once the run is over. loop:
+    The run's, once it turns.
     """
 
     platform: EmulatedPlatform
     calibration: Path
     over: ExitStack
     held_up: float = 0.0
+    reply_timeout: float = 10.0
     spoilt: Callable[[Decision], Decision] = field(default=lambda decision: decision)
+    loop: Loop | None = None
 
     @property
     def folder(self) -> Path:
         """Of the run."""
         return self.calibration.parent / "run"
+
+    def limit(self, limits: Mapping[str, float]) -> None:
+        """Tightens guards of the run that is under way, by their keys; `left` is the time that the run still has, s."""
+        assert self.loop is not None
+        setup = self.loop.setup
+        holders = {"guards": self.loop.guards, "guards.sensing": setup.sensing, "hardware.sensor": setup.sensor}
+        for key, value in limits.items():
+            group, _, name = key.rpartition(".")
+            if name == "left":
+                now = setup.clock.now() - self.loop.started_at
+                self.loop.setup = replace(setup, duration=now + value)
+            else:
+                holder = holders[group]
+                holder.settings = replace(holder.settings, **{name: value})
 
 
 Make = Callable[[Scene], object]
@@ -79,7 +97,8 @@ class Fault:
 
     make: Makes the fault. reason, said: The named reason, and what its sentence says. left: How the arm is left.
     alone: Motors that nobody reaches any more; they keep their torque. torqued: Motors that had torque before.
-    settings: Keys that the fault needs.
+    settings: Keys that the fault needs. limits: Guards that are tightened once the fault is there: a busy machine might
+        trip them before, as the arm is armed.
     """
 
     name: str
@@ -91,6 +110,7 @@ class Fault:
     alone: tuple[int, ...] = ()
     torqued: tuple[int, ...] = ()
     settings: tuple[str, ...] = (SLOW,)
+    limits: Mapping[str, float] = field(default_factory=dict)
 
     @staticmethod
     def every() -> list[Fault]:
@@ -100,8 +120,7 @@ class Fault:
     @staticmethod
     def survived(name: str, make: Make) -> Fault:
         """One that the run outlives."""
-        settings = (SLOW, "experiment.duration=1.5")
-        return Fault(name, make, R.DURATION, "1.5 s are over", HELD, settings=settings)
+        return Fault(name, make, R.DURATION, "s are over", HELD, limits={"left": 1.5})
 
 
 def full_disk() -> Fault:
@@ -111,7 +130,17 @@ def full_disk() -> Fault:
 
 def stopped() -> Fault:
     """A process that is stopped for a while and goes on; it has to be one of its own."""
-    return Fault("a stopped process", lambda scene: None, R.PAUSED, "the loop stood still for 1", HELD)
+    return Fault("a stopped process", lambda scene: None, R.PAUSED, "the loop stood still for [1-9]", HELD)
+
+
+def unanswered(make: Make) -> Make:
+    """A fault of which motors that say nothing, or nonsense, are a part: nobody waits long for them."""
+
+    def made(scene: Scene) -> None:
+        scene.reply_timeout = 0.6
+        make(scene)
+
+    return made
 
 
 def servo(order: str, **details: float) -> Make:
@@ -184,8 +213,8 @@ def far(decision: Decision) -> Decision:
 
 def failed(name: str, make: Make, said: str, alone: tuple[int, ...] = ()) -> Fault:
     """Motors that cannot be understood any more."""
-    few = (SLOW, "guards.failed_exchanges=2")
-    return Fault(name, make, R.COMMUNICATION, said, LET_GO, alone=alone, settings=few)
+    few = {"guards.failed_exchanges": 2}
+    return Fault(name, unanswered(make), R.COMMUNICATION, said, LET_GO, alone=alone, limits=few)
 
 
 def reported(name: str, make: Make, said: str) -> Fault:
@@ -195,26 +224,26 @@ def reported(name: str, make: Make, said: str) -> Fault:
 
 def stale(name: str, make: Make, *settings: str) -> Fault:
     """Frames of which none can be used."""
-    given = (SLOW, "guards.sensing.stale=0.3", *settings)
-    return Fault(name, make, R.SENSOR_STALE, "no usable frame for 0", HELD, settings=given)
+    limits = {"guards.sensing.stale": 0.3}
+    return Fault(name, make, R.SENSOR_STALE, r"no usable frame for \d", HELD, settings=(SLOW, *settings), limits=limits)
 
 
 def dropped(name: str, make: Make, body: str) -> Fault:
     """One body that cannot be used."""
     # A busy machine may be without any frame for a moment; a body that is gone stays away for ever.
-    given = (SLOW, "guards.sensing.dropout=1.0")
-    return Fault(name, make, R.SENSOR_DROPOUT, f"body {body} not usable", HELD, settings=given)
+    limits = {"guards.sensing.dropout": 1.0}
+    return Fault(name, make, R.SENSOR_DROPOUT, f"body {body} not usable", HELD, limits=limits)
 
 
 def ended(name: str, make: Make, said: str) -> Fault:
     """A source of poses that is no more."""
-    return Fault(name, make, R.SENSOR_LOST, said, HELD, settings=(SLOW, "hardware.sensor.timeout=0.7"))
+    return Fault(name, make, R.SENSOR_LOST, said, HELD, limits={"hardware.sensor.timeout": 0.7})
 
 
 def overrun(name: str, make: Make) -> Fault:
     """A turn that takes longer than a period."""
-    given = (SLOW, "loop.rate=20", "guards.overruns=2", "guards.overrun_window=5")
-    return Fault(name, make, R.OVERRUN, "missed deadlines within 5 s", HELD, settings=given)
+    few, rate = {"guards.overruns": 2, "guards.overrun_window": 5}, (SLOW, "loop.rate=20")
+    return Fault(name, make, R.OVERRUN, "missed deadlines within 5 s", HELD, settings=rate, limits=few)
 
 
 def first(
@@ -222,7 +251,7 @@ def first(
 ) -> Fault:
     """A fault that is there before the program starts."""
     had = () if torqued is None else (torqued,)
-    return Fault(name, make, reason, said, UNTOUCHED, BEFORE, torqued=had, settings=settings)
+    return Fault(name, unanswered(make), reason, said, UNTOUCHED, BEFORE, torqued=had, settings=settings)
 
 
 BODIES = [2, 3, 4]
@@ -271,12 +300,12 @@ CONTROLLER_WRONG = [
     overrun("a controller that is too slow", controller(slow)),
 ]
 
-FRESH = (SLOW, "guards.sensing.max_age=0.4", "guards.sensing.stale=1.2")
-FAST = (SLOW, "loop.rate=500", "guards.overruns=100")
+FRESH = {"guards.sensing.max_age": 0.4, "guards.sensing.stale": 1.2}
+FAST = {"settings": (SLOW, "loop.rate=500"), "limits": {"guards.overruns": 100}}
 
 COMPUTER_WRONG = [
-    Fault("frames that grow old before they are used", held_up, R.SENSOR_STALE, r"frame for 1\.", HELD, settings=FRESH),
-    Fault("a starved processor", starved, R.OVERRUN, "missed deadlines within 1 s", HELD, settings=FAST),
+    Fault("frames that grow old before they are used", held_up, R.SENSOR_STALE, r"frame for [1-9]", HELD, limits=FRESH),
+    Fault("a starved processor", starved, R.OVERRUN, "missed deadlines within 1 s", HELD, **FAST),
     Fault.survived("a wall clock that is set", clock_set),
 ]
 

@@ -47,7 +47,7 @@ def lockstep(
 
 
 def test_knots_are_joined_by_straight_lines() -> None:
-    board = Board(np.zeros((), board_type(2, 1)))
+    board = Board(np.zeros((), board_type(2, 1, 3)))
     with pytest.raises(CommunicationError, match="not begun"):
         board.tendons(0.0)
     times = 0.005 * np.arange(3 * KNOTS)

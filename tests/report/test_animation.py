@@ -45,6 +45,12 @@ def test_gif_holds_every_frame(moments: Snapshots, tmp_path: Path) -> None:
     assert [p.name for p in path.parent.iterdir()] == ["film.gif"]
 
 
+def test_a_film_of_what_diverged_is_marked(moments: Snapshots) -> None:
+    plain, marked = (Stage(moments, {}, Camera(), warning).frame(20) for warning in (None, "1 of 1 rows diverged"))
+    changed = (plain != marked).any(-1)
+    assert changed[-40:].sum() > 200 and not changed[:300].any(), "a line below the picture, which stays"
+
+
 def test_mp4_where_ffmpeg_is(moments: Snapshots, tmp_path: Path) -> None:
     ffmpeg = pytest.importorskip("imageio_ffmpeg")
     path = save_animation(tmp_path / "film", moments, fps=5)

@@ -43,13 +43,14 @@ def test_the_film_shows_the_run(
 ) -> None:
     filmed: dict[str, Any] = {}
 
-    def film(path: Path, shots: Snapshots, readouts: dict[str, torch.Tensor], max_frames: int) -> None:
-        filmed.update(shots=shots, readouts=readouts)
+    def film(path: Path, shots: Snapshots, readouts: dict[str, torch.Tensor], max_frames: int, warning: str) -> None:
+        filmed.update(shots=shots, readouts=readouts, warning=warning)
 
     monkeypatch.setattr(kinematic, "save_animation", film)
     monkeypatch.setattr(kinematic, "INSTANTS", instants)
     redrawing.draw_anew(real_runs / "kinematic" / "1", tmp_path, True, True)
     _, arrays = redrawing.load_run(real_runs / "kinematic" / "1")
+    assert filmed["warning"] is None
     # A short run is shown whole, a long one thinned, its last instant included.
     kept = slice(0, None) if instants == 600 else slice(2, None, 3)
     assert len(arrays["time"]) == 21 and filmed["shots"].time.tolist() == arrays["time"][kept].tolist()

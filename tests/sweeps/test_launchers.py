@@ -43,7 +43,8 @@ def test_a_launcher_of_this_machine(
     launcher: str, plugin: str, tmp_path: Path, wanted: dict[str, dict[str, float]]
 ) -> None:
     pytest.importorskip(f"hydra_plugins.{plugin}")
-    done = simulate(tmp_path, *SWEEP, f"hydra/launcher={launcher}")
+    # Launchers start processes of their own kinds: from one as a user has it.
+    done = simulate(tmp_path, *SWEEP, f"hydra/launcher={launcher}", forked=False)
     assert done.returncode == 0, done.stdout + done.stderr
     same(jobs(tmp_path / "sweep"), wanted)
     assert "is validated against ConfigStore schema" not in done.stderr

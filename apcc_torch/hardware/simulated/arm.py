@@ -97,6 +97,7 @@ class SimulatedArm:
         self.X_tilde, self.j = decouple(abscissae, plant.dynamics.lengths)
         self.n_bodies = abscissae.shape[-1]
         self.n_tendons = plant.B.shape[-1]
+        self.n = plant.backbone.n
         self.motor_speed, self.frame_rate = inf, 0.0
         self.time = 0.0
         self.next_frame = 0.0
@@ -165,7 +166,7 @@ class SimulatedArm:
             share = 1.0 if span <= 0 else (self.next_frame - begin) / span
             q = torch.lerp(before.arm.q, self.now.arm.q, share)
             self.sensor_state, T, mask = self.sensors.forward(self.sensor_state, self._poses(q), self.generator)
-            board.put_frame(self.next_frame, T[0].numpy(), mask[0].numpy())
+            board.put_frame(self.next_frame, T[0].numpy(), mask[0].numpy(), q[0].numpy())
             self.next_frame += 1.0 / self.frame_rate
 
     def skip(self, seconds: float) -> None:

@@ -27,10 +27,13 @@ class Mode(IntEnum):
     LIMP = 2
 
 
-def board_type(n_tendons: int, n_bodies: int) -> np.dtype[np.void]:
-    """The layout of a board: all float64 and int64, so that it is the same in every process."""
+def board_type(n_tendons: int, n_bodies: int, n: int) -> np.dtype[np.void]:
+    """The layout of a board: all float64 and int64, so that it is the same in every process; `n` true coordinates."""
     knot = [("time", "f8"), ("y", "f8", n_tendons), ("ydot", "f8", n_tendons), ("effort", "f8", n_tendons)]
-    frame = [("stamp", "f8"), ("sequence", "i8"), ("T", "f8", (n_bodies, 4, 4)), ("valid", "i8", n_bodies)]
+    frame = [
+        *(("stamp", "f8"), ("sequence", "i8"), ("T", "f8", (n_bodies, 4, 4)), ("valid", "i8", n_bodies)),
+        ("q", "f8", n),
+    ]
     return np.dtype(
         [
             ("knots", knot, KNOTS),
@@ -61,11 +64,12 @@ class Board:
         knot["time"], knot["y"], knot["ydot"], knot["effort"] = time, y, ydot, effort
         self.memory["n_knots"] += 1
 
-    def put_frame(self, stamp: float, T: Array, valid: NDArray[np.bool_]) -> None:
-        """Adds a frame of the sensors."""
+    def put_frame(self, stamp: float, T: Array, valid: NDArray[np.bool_], q: Array) -> None:
+        """Adds a frame of the sensors, and the true arm's coordinates (n,) then."""
         count = int(self.memory["n_frames"])
         frame = self.memory["frames"][count % FRAMES]
         frame["stamp"], frame["sequence"], frame["T"], frame["valid"] = stamp, count + 1, T, valid
+        frame["q"] = q
         self.memory["n_frames"] += 1
 
     def tendons(self, time: float) -> tuple[float, Array, Array, Array]:
@@ -87,6 +91,11 @@ class Board:
         share = 0.0 if span <= 0 else min(max((time - float(knot["time"])) / span, 0.0), 1.0)
         y, ydot, effort = ((1.0 - share) * knot[name] + share * after[name] for name in ("y", "ydot", "effort"))
         return float(knot["time"]) + share * span, y, ydot, effort
+
+    def coordinates(self, sequence: int) -> Array | None:
+        """The true arm's (n,) at a frame; None where it has been written over."""
+        frame = self.memory["frames"][(sequence - 1) % FRAMES]
+        return frame["q"].copy() if frame["sequence"] == sequence else None
 
     def frame(self, until: float) -> PoseSample | None:
         """The newest frame measured at `until`, s, or before; None if there is none."""

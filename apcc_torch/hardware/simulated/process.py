@@ -33,7 +33,7 @@ LAG = 0.02
 
 
 def _board(arm: SimulatedArm, memory: ctypes.Array[ctypes.c_byte]) -> Board:
-    return Board(np.ctypeslib.as_array(memory).view(board_type(arm.n_tendons, arm.n_bodies)).reshape(()))
+    return Board(np.ctypeslib.as_array(memory).view(board_type(arm.n_tendons, arm.n_bodies, arm.n)).reshape(()))
 
 
 def serve(arm: SimulatedArm, memory: ctypes.Array[ctypes.c_byte], lock: Lock, over: Event, ready: Connection) -> None:
@@ -93,7 +93,7 @@ class ProcessWorld(SimulatedWorld):
     def _begin(self) -> None:
         # A fresh interpreter: a fork would carry torch's and the log's threads over in an unknown state.
         context = multiprocessing.get_context("spawn")
-        memory = RawArray("b", board_type(self.arm.n_tendons, self.arm.n_bodies).itemsize)
+        memory = RawArray("b", board_type(self.arm.n_tendons, self.arm.n_bodies, self.arm.n).itemsize)
         self.lock, self.over = context.Lock(), context.Event()
         self.board = _board(self.arm, memory)
         here, there = context.Pipe(duplex=False)

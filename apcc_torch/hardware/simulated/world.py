@@ -11,8 +11,9 @@ from typing import Self
 import numpy as np
 import torch
 
-from apcc_torch.errors import ConfigError
+from apcc_torch.errors import ConfigError, HardwareError
 from apcc_torch.hardware.clock import Clock, VirtualClock
+from apcc_torch.hardware.interfaces import Array
 from apcc_torch.hardware.simulated.arm import SimulatedArm
 from apcc_torch.hardware.simulated.board import Board, Mode, board_type
 from apcc_torch.hardware.world import World
@@ -25,7 +26,7 @@ class SimulatedWorld(World):
     def __init__(self, arm: SimulatedArm, clock: Clock) -> None:
         self.arm = arm
         self.clock = clock
-        self.board = Board(np.zeros((), board_type(arm.n_tendons, arm.n_bodies)))
+        self.board = Board(np.zeros((), board_type(arm.n_tendons, arm.n_bodies, arm.n)))
         self.users: set[str] = set()
 
     def open(self, user: str) -> None:
@@ -49,6 +50,14 @@ class SimulatedWorld(World):
     def metrics(self) -> dict[str, float]:
         """How much time passed without the arm, because it could not be computed in time."""
         return {"simulated_arm_behind_s": float(self.board.memory["slip"])}
+
+    def true_coordinates(self, sequence: int) -> Array | None:
+        """See `World`."""
+        try:
+            with self.locked() as board:
+                return board.coordinates(sequence)
+        except HardwareError:
+            return None
 
     @abstractmethod
     def _begin(self) -> None: ...
@@ -104,7 +113,7 @@ class LockstepWorld(SimulatedWorld):
 
     def _begin(self) -> None:
         with torch.inference_mode():
-            self.board = Board(np.zeros((), board_type(self.arm.n_tendons, self.arm.n_bodies)))
+            self.board = Board(np.zeros((), board_type(self.arm.n_tendons, self.arm.n_bodies, self.arm.n)))
             self.arm.begin(self.clock.now(), self.board)
         self.virtual.followers.append(self._follow)
         self._follow(self.clock.now())

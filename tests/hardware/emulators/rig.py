@@ -63,7 +63,7 @@ class EmulatedPlatform:
         """Settings that fit, with times that a busy machine keeps."""
         motors = {
             "port": self.link, "ids": list(MOTORS), "spool_radii": list(RADII), "signs": list(SIGNS),
-            "lower": LOWER, "upper": UPPER, "reply_timeout": 0.6, "bus_watchdog": 2.54, "profile_velocity": 20.0,
+            "lower": LOWER, "upper": UPPER, "reply_timeout": 1.0, "bus_watchdog": 2.54, "profile_velocity": 20.0,
             "profile_acceleration": 400.0,
         }  # fmt: skip
         cameras = {
