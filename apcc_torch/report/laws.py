@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from matplotlib.figure import Figure
-from matplotlib.ticker import NullLocator
+from matplotlib.ticker import FixedLocator, NullLocator
 
 from apcc_torch.report.style import SERIES, dress, legend, new_figure
+from apcc_torch.report.trade_off import TICKS
 
 MARKERS = ("o", "v", "^", "D", "s", "P", "X")
 
@@ -26,9 +27,15 @@ def law_figure(runs: Mapping[str, Mapping[str, tuple[float, float]]], title: str
             marker = MARKERS[i % len(MARKERS)]
             ax.plot([psi], [shape], marker, color=SERIES[i % len(SERIES)], markersize=10, label=law)
         dress(ax, r"mean $\Psi$ (cm)", "mean shape error (mm)", f"{title}{run}")
-        for axis, scale in ((ax.xaxis, ax.set_xscale), (ax.yaxis, ax.set_yscale)):
-            scale("log")
+        ax.set_xscale("log")
+        ax.set_yscale("log")
+        for axis, values in ((ax.xaxis, [psi for _, psi in laws.values()]), (ax.yaxis, [e for e, _ in laws.values()])):
+            axis.set_major_locator(
+                FixedLocator([tick for tick in TICKS if 0.4 * min(values) < tick < 2.5 * max(values)])
+            )
             axis.set_major_formatter("{x:g}")
             axis.set_minor_locator(NullLocator())
+        ax.set_xlim(0.7 * min(psi for _, psi in laws.values()), 1.4 * max(psi for _, psi in laws.values()))
+        ax.set_ylim(0.7 * min(e for e, _ in laws.values()), 1.4 * max(e for e, _ in laws.values()))
     legend(axes[0], loc="best")
     return figure
