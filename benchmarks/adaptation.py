@@ -13,11 +13,11 @@ from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
 import torch
+from apcc_torch.control.length_bank import LengthBankSettings
 from run_settings import BANK, GENTLE, run_settings
 from sections import SECTIONS, with_sections
 from tqdm import tqdm
 
-from apcc_torch.control.length_bank import LengthBankSettings
 from apcc_torch.experiments.dynamic import curves, dynamic_metrics, simulate, thinned
 from apcc_torch.files import write_json
 from apcc_torch.report.style import SERIES, dress, new_figure, save_figure

@@ -19,16 +19,13 @@ from apcc_torch.control.adaptive_dynamics import AdaptiveDynamics
 from apcc_torch.control.composite_controller import CompositeController
 from apcc_torch.control.controller import APCCController
 from apcc_torch.control.inverse_kinematics import InverseKinematics
-from apcc_torch.control.length_bank import LengthBank
 from apcc_torch.control.length_bounds import LengthBounds
 from apcc_torch.control.pid import TendonPID, TendonPIDSettings
-from apcc_torch.control.residual_adaptation import ResidualLaw
 from apcc_torch.control.task_controller import TaskController
 from apcc_torch.control.task_integral import TaskIntegral, TaskIntegralSettings
 from apcc_torch.errors import ConfigError
 from apcc_torch.estimation.pose_filter import PoseFilter
 from apcc_torch.estimation.savitzky_golay import SavitzkyGolay
-from apcc_torch.estimation.sensor_curve import SensorCurve
 from apcc_torch.estimation.sensor_gate import SensorGate
 from apcc_torch.estimation.soft_window import SoftWindow
 from apcc_torch.estimation.state_feedback import StateFeedback
@@ -212,15 +209,12 @@ MAKE: dict[type[Part], Callable[..., Part]] = {
     ConstantStrainBackbone: lambda **s: ConstantStrainBackbone(3, HANGING_BASE, **s),
     Divergence: Divergence,
     InverseKinematics: lambda **s: InverseKinematics(n_sections=3, **s),
-    LengthBank: lambda **s: LengthBank(PI, feedback(), **s),
     LengthBounds: lambda **s: LengthBounds(PI, X, **s),
     NormalisedLaw: lambda **s: NormalisedLaw(3, **s),
     Plant: lambda **s: Plant(ARM.dynamics(), ARM.routing(), None, torch.zeros(2, dtype=D), PlantSettings(**s)),
     PoseFilter: PoseFilter,
     PoseSensors: PoseSensors,
-    ResidualLaw: lambda **s: ResidualLaw(PI, feedback(), **s),
     SavitzkyGolay: SavitzkyGolay,
-    SensorCurve: lambda **s: SensorCurve(HANGING_BASE, X, **s),
     SensorGate: lambda **s: SensorGate(X, **s),
     StateFeedback: lambda **s: StateFeedback(PCCBackbone(3, HANGING_BASE), X, **s),
     TaskController: lambda **s: controller(TaskController, **s),
@@ -231,13 +225,11 @@ MAKE: dict[type[Part], Callable[..., Part]] = {
 """Every part with settings, made with some of them changed."""
 
 OTHER: dict[str, Any] = {
-    "LengthBank.shares": (0.8, 1.0, 1.2),
     "CompositeController.lower": (0.01, 1.0, 0.0, 0.0, 0.5),
     "CompositeController.upper": (1.0, 99.0, 900.0, 1.0, 2.0),
     "ConstantStrainBackbone.strains": ("bend_x", "bend_y", "torsion", "elongation"),
     "Plant.arm": ArmChanges(mass=2.0),
     "Plant.pid": TendonPIDSettings(K_P=700.0, force_limit=40.0),
-    "tangents": "spline",
     "window": 9,
 }
 """Values of settings for which one more, or another choice, is none."""
@@ -281,7 +273,7 @@ CASES = [
     (part, each, i, value)
     for part in MAKE
     for each in fields(part.settings_type)
-    if (part, each.name) not in ((Plant, "transmission"), (ResidualLaw, "target"))  # a part more, or one less
+    if (part, each.name) != (Plant, "transmission")  # a part more
     for i, value in enumerate(others(part, each))
 ]
 
@@ -348,8 +340,6 @@ def test_a_state_of_another_form_is_refused_by_name() -> None:
         Gain(3).load_state_dict(state)
     with pytest.raises(ConfigError, match="one of Louder, this part is Gain"):
         Gain(3).load_state_dict(Louder(3).state_dict())
-    with pytest.raises(ConfigError, match="hold curve differently"):
-        MAKE[ResidualLaw]().load_state_dict(MAKE[ResidualLaw](target="sensors").state_dict())
 
 
 @pytest.mark.parametrize("kind", [*settings_classes(), *(part.settings_type for part in subclasses(Configurable))])

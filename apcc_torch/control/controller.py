@@ -121,22 +121,21 @@ class APCCController(Part):
         backbone = part_of(control.model).on(arm.n_sections, arm.base_rotation(), control.model)
         feedback = StateFeedback(backbone, arm.sensor_places(), control.feedback)
         solver = InverseKinematics(control.controller, coordinates=backbone.coordinates, n_sections=backbone.n_sections)
-        laws = [
-            part_of(law).on(nominal, feedback, law) for law in (control.adaptation, control.residual) if law is not None
-        ]
+        chosen = control.adaptation
+        law = None if chosen is None else part_of(chosen).on(nominal, feedback, chosen)
         return cls(
             backbone,
             feedback,
             SavitzkyGolay(control.velocity_filter),
             solver,
-            laws,
+            () if law is None else law,
             control.controller,
             # Clones, so that what is trained of the arm is trained as what it is, and the bounds stay.
             bounds=LengthBounds(lengths.clone(), feedback.abscissae.clone(), control.bounds),
             routing=arm.routing(),
             pose_filter=None if control.pose_filter is None else PoseFilter(control.pose_filter),
             integral=None if control.integral is None else TaskIntegral(control.integral),
-            shape=next((each for law in laws if (each := law.shape_feedback(arm, backbone)) is not None), None),
+            shape=None if law is None else law.shape_feedback(arm, backbone),
             **parts,
         )
 
@@ -253,7 +252,9 @@ class APCCController(Part):
         if self.pose_filter is not None and expected is not None:
             expected = self.pose_filter.moved(expected, self.backbone, inference.problem.points, q_bar, q_d - state.q_d)
         stamp = measurement.time.expand_as(dt)
-        later = ControllerState(q_bar, qdot_bar, pi_hat, q_d, qdot, filtered, stamp, memories, expected, integral, shape)
+        later = ControllerState(
+            q_bar, qdot_bar, pi_hat, q_d, qdot, filtered, stamp, memories, expected, integral, shape
+        )
         return later, Command(qdot, q_d, y, e, inference.feedback, limits)
 
     def _inferred(

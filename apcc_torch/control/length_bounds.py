@@ -21,16 +21,16 @@ class LengthBoundsSettings(Settings):
     """Settings of `LengthBounds`."""
 
     lower: Numbers | None = setting(
-        0.6, "", OURS, "smallest rest lengths over the nominal ones; null: no bound", rows="sections", above=0
+        0.2, "", OURS, "smallest rest lengths over the nominal ones; null: no bound", rows="sections", above=0
     )
     upper: Numbers | None = setting(
-        1.4, "", OURS, "largest rest lengths over the nominal ones; null: no bound", rows="sections", above=0
+        2.0, "", OURS, "largest rest lengths over the nominal ones; null: no bound", rows="sections", above=0
     )
     reach: str = setting(
-        "last",
+        "free",
         "",
         OURS,
-        "last, all sections together reach the last sensor; each, the first i reach sensor i; free",
+        "free; last, all sections together reach the last sensor; each, the first i reach sensor i",
         choices=("free", "last", "each"),
     )
 

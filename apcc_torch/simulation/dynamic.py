@@ -176,7 +176,9 @@ class ClosedLoop(Part):
         plant, arm = self.plant, now.plant
         sensors, seen, mask = self.sensors.read(now.sensors, self.poses(arm.arm.q), draws)
         target = self.trajectory(time)
-        state, command = self.controller(now.controller, Measurement(seen, time, mask, forces=now.u, tendons=plant.lengths(arm.arm.q)), target)
+        state, command = self.controller(
+            now.controller, Measurement(seen, time, mask, forces=now.u, tendons=plant.lengths(arm.arm.q)), target
+        )
         y = command.y
         assert y is not None  # the controller has a routing
         force = command.force
@@ -235,7 +237,7 @@ def simulate_dynamic(
 
     Example:
         >>> arm = Arm(lengths=[0.2, 0.25], mass=0.4)
-        >>> controller = APCCController.for_arm(arm, residual=None)
+        >>> controller = APCCController.for_arm(arm)
         >>> target = SetPoint(torch.tensor([[0.05, 0.0, -0.44]]).double())
         >>> plant = Plant.on(arm, torch.tensor([0.1]).double(), PlantSettings(settle=0.5))
         >>> settings = DynamicSettings(duration=1.0, control_rate=25.0)
