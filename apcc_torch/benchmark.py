@@ -17,7 +17,7 @@ from omegaconf.errors import OmegaConfBaseException
 
 from apcc_torch.composed import initialised
 from apcc_torch.composition.arm_file import arm_override
-from apcc_torch.composition.benchmark import BenchmarkSettings, PairSettings
+from apcc_torch.composition.benchmark import BenchmarkSettings, ComparisonSettings
 from apcc_torch.composition.help import describe
 from apcc_torch.composition.run_settings import SimulateSettings
 from apcc_torch.composition.schema import check_words, schema, sentence, typed
@@ -25,8 +25,10 @@ from apcc_torch.conf_path import conf_path
 from apcc_torch.errors import ConfigError, one_sentence
 from apcc_torch.files import write_atomically
 from apcc_torch.paper import benchmark_run as paper
+from apcc_torch.paper.outcomes import Row
 from apcc_torch.plain_text import for_terminal
 from apcc_torch.reading import plain
+from apcc_torch.settings import check_names
 from apcc_torch.sweeps.claim import held_folder, refusals
 
 log = logging.getLogger("apcc_torch.benchmark")
@@ -48,27 +50,41 @@ def experiment(name: str, overrides: list[str]) -> SimulateSettings:
         raise ConfigError(f"experiment {name}{changed}: {sentence(error)}") from error
 
 
-def pair(config: BenchmarkSettings, names: PairSettings) -> paper.Pair:
-    """Both controllers' settings of one run, cut to the grid.
+def rows(config: BenchmarkSettings, comparison: ComparisonSettings, run: str) -> dict[str, Row]:
+    """The settings of one run's rows, cut to the grid: its two controllers', or the laws' that it compares.
 
     Raises:
-        ConfigError: A setting has no meaning.
+        ConfigError: A setting has no meaning, or rows that are to differ in their law alone differ in more.
     """
-    changes = config.experiments
-    standard = experiment(names.standard, [*changes.common, *changes.standard])
-    adaptive = experiment(names.adaptive, [*changes.common, *changes.adaptive])
-    return paper.Pair(paper.on_grid(standard, config.grid, False), paper.on_grid(adaptive, config.grid, True))
+    names, changes = comparison.runs[run], config.experiments
+    check_names(f"changes of {run}", names.changes, tuple(comparison.rows) or paper.CONTROLLERS)
+    of_side = {"standard": changes.standard, "adaptive": changes.adaptive}
+    found: dict[str, Row] = {}
+    for row in comparison.rows or paper.CONTROLLERS:
+        base = names.standard if row == "standard" else names.adaptive
+        law = comparison.rows.get(row)
+        own = () if law is None else law.settings
+        # The last one of a key counts: what the command line says is said of all that stands here.
+        here = (*comparison.common, *names.common, *own, *names.changes.get(row, ()))
+        every = (*here, *changes.common, *of_side.get(row, ()))
+        settings = list({setting.partition("=")[0]: setting for setting in every}.values())
+        adaptive = row == "adaptive" if law is None else None
+        cut = paper.on_grid(experiment(base, settings), config.grid, adaptive)
+        found[row] = Row(cut, None if law is None else law.searched)
+    if comparison.rows:
+        paper.check_laws(run, found)
+    return found
 
 
-def compose_pairs(config: BenchmarkSettings) -> paper.Pairs:
-    """The experiments' settings: comparison -> run -> both controllers'.
+def compose_grids(config: BenchmarkSettings) -> paper.Grids:
+    """The experiments' settings: comparison -> run -> row.
 
     Raises:
         ConfigError: A setting has no meaning.
     """
     with initialised():
         return {
-            name: {run: pair(config, names) for run, names in comparison.runs.items()}
+            name: {run: rows(config, comparison, run) for run in comparison.runs}
             for name, comparison in config.grid.comparisons.items()
         }
 
@@ -78,13 +94,13 @@ def run(cfg: DictConfig, folder: Path) -> str:
     config = typed(cfg, BenchmarkSettings)
     if config.threads is not None:
         torch.set_num_threads(config.threads)
-    pairs = compose_pairs(config)
+    grids = compose_grids(config)
     settings = {
-        comparison: {name: {who: plain(c) for who, c in both._asdict().items()} for name, both in runs.items()}
-        for comparison, runs in pairs.items()
+        comparison: {name: {who: plain(row.config) for who, row in every.items()} for name, every in runs.items()}
+        for comparison, runs in grids.items()
     }
     write_atomically(folder / "config.yaml", OmegaConf.to_yaml({"benchmark": plain(config), "runs": settings}))
-    return paper.run(config, pairs, folder)
+    return paper.run(config, grids, folder)
 
 
 @hydra.main(version_base="1.3", config_path=conf_path(), config_name="benchmark")

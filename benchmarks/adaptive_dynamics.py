@@ -87,7 +87,8 @@ def numbers(outcome: Outcome) -> dict[str, Any]:
     way = log.x_d[0] - log.x[0]
     past = ((log.x - log.x_d) * (way / way.norm(dim=-1, keepdim=True))).sum(-1).clamp(min=0.0).amax(0)
     found: dict[str, Any] = {name: metrics(outcome)[name] for name in (
-        "shape_error_mean_mm", "shape_error_end_mm", "psi_mean_cm", "mapping_error_mean_mm", "diverged_rows"
+        "shape_error_mean_mm", "shape_error_end_mm", "psi_mean_cm", "mapping_error_mean_mm", "diverged_rows",
+        "tendon_force_rms_n", "tendon_force_max_n",
     )}  # fmt: skip
     for limit in (5, 2):
         times = settling_times(time, e, 1e-3 * limit)
@@ -96,8 +97,6 @@ def numbers(outcome: Outcome) -> dict[str, Any]:
     for instant in (2, 5, 10):
         found[f"tip_error_at_{instant}s_mm"] = 1e3 * float(e[np.searchsorted(time, instant - 1e-9)].mean())
     found["overshoot_mean_mm"] = 1e3 * float(past.mean())
-    found["tendon_force_rms_n"] = float(log.u.square().mean().sqrt())
-    found["tendon_force_max_n"] = float(log.u.abs().max())
     stride = max(1, (len(time) - 1) // 100)
 
     def curves(data: Array) -> list[list[float]]:

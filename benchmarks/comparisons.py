@@ -9,7 +9,7 @@ import torch
 from hydra import compose, initialize_config_dir
 from tqdm import tqdm
 
-from apcc_torch.benchmark import compose_pairs
+from apcc_torch.benchmark import compose_grids
 from apcc_torch.composition.benchmark import BenchmarkSettings
 from apcc_torch.composition.run_settings import SimulateSettings
 from apcc_torch.composition.schema import typed
@@ -35,11 +35,11 @@ def compare(
     settings = parser.parse_args().settings
     torch.set_num_threads(1)
     with initialize_config_dir(conf_path(), version_base="1.3"):
-        pairs = compose_pairs(typed(compose("benchmark", [COMPILED, *settings]), BenchmarkSettings))
-    runs = {f"{name}, {run}": both for name, comparison in pairs.items() for run, both in comparison.items()}
+        grids = compose_grids(typed(compose("benchmark", [COMPILED, *settings]), BenchmarkSettings))
+    runs = {f"{name}, {run}": both for name, comparison in grids.items() for run, both in comparison.items()}
     lines = [f"{'':<12}" + "".join(f"{title:>26}" for title in titles.values())]
     for name, both in tqdm(runs.items(), desc="comparisons"):
-        standard, adaptive = measured(both.standard, False), measured(both.adaptive, True)
+        standard, adaptive = measured(both["standard"].config, False), measured(both["adaptive"].config, True)
         line = f"{name:<12}"
         for key in titles:
             old, new = standard[key], adaptive[key]

@@ -38,9 +38,11 @@ from apcc_torch.model.static_body import StaticBody
 from apcc_torch.part import Part
 from apcc_torch.simulation.divergence import Divergence
 from apcc_torch.simulation.dynamic import ClosedLoop
+from apcc_torch.simulation.events import ArmEvents
 from apcc_torch.simulation.exact import ExactLoop
 from apcc_torch.simulation.kinematic import FeedbackLoop
 from apcc_torch.simulation.plant import Plant
+from apcc_torch.simulation.rod_plant import RodPlant
 from apcc_torch.simulation.sensors import PoseSensors
 from parts import (
     URDF,
@@ -76,6 +78,7 @@ from parts import (
     pulled,
     q,
     qdot,
+    rod,
     routing,
     scalars,
     sensed,
@@ -85,6 +88,7 @@ from parts import (
     some,
     stacked,
     stiff,
+    twisted,
     with_tasks,
 )
 
@@ -123,6 +127,16 @@ CASES: dict[str, Case] = {
         dynamics, moved, lambda: {"lengths": lengths(), **stiff()}, lambda: {"n_quadrature": 3, "gravity": 1.6}
     ),
     "SoftArmDynamics with damping": Case(dynamics, moved, lambda: {"damping": 0.1 + some(6).abs()}),
+    "RodDynamics": Case(
+        rod,
+        lambda of: of(some(12, scale=0.01), some(12, seed=1, scale=0.05), some(12, seed=2, scale=0.01)),
+        lambda: {"lengths": lengths(), **stiff(), **twisted()},
+    ),
+    "RodDynamics with damping": Case(
+        rod,
+        lambda of: of(some(12, scale=0.01), some(12, seed=1, scale=0.05), some(12, seed=2, scale=0.01)),
+        lambda: {"damping": 0.1 + some(12).abs()},
+    ),
     "DynamicsRegressor": Case(
         lambda **t: DynamicsRegressor(routing(), **t),
         lambda of: of(q(), qdot(), qdot(), q(), lengths()),
@@ -290,7 +304,18 @@ CASES: dict[str, Case] = {
     "Plant": Case(
         lambda **t: Plant(dynamics(), routing(), TendonPID(), **{"payload": numbers(0.1, 0.2), **t}),
         advanced,
+        lambda: {"payload": numbers(0.1, 0.2), **scalars(tendon_damping=100.0, backlash=1e-3)},
+    ),
+    "RodPlant": Case(
+        lambda **t: RodPlant(rod(), routing(), TendonPID(), **{"payload": numbers(0.1, 0.2), **t}),
+        advanced,
         lambda: {"payload": numbers(0.1, 0.2), **scalars(tendon_damping=100.0)},
+    ),
+    "ArmEvents": Case(
+        lambda **t: ArmEvents(4, **{"growth": numbers(0.1, 0.2), "taken_at": 0.2, **t}),
+        lambda of: (of.payload(numbers(0.1, 0.2), numbers(0.1, 0.3)), of.growth_at(numbers(0.1, 0.3))),
+        lambda: {"growth": numbers(0.1, 0.2), **scalars(taken=0.1, growth_from=0.05, growth_over=1.0)},
+        lambda: {"taken": -0.05},
     ),
     "ExactLoop": Case(
         lambda **t: ExactLoop(controller(), trajectory=SetPoint(some(3)), dt=0.1, **{"pi": lengths(), **t}),

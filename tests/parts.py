@@ -27,6 +27,7 @@ from apcc_torch.model.abscissae import decouple
 from apcc_torch.model.backbone import HANGING, PCCBackbone
 from apcc_torch.model.dynamics import SoftArmDynamics
 from apcc_torch.model.kinematic_model import KinematicModel
+from apcc_torch.model.rod_dynamics import RodDynamics
 from apcc_torch.model.static_body import StaticBody
 from apcc_torch.model.tendons import TendonRouting
 from apcc_torch.simulation.dynamic import ClosedLoop
@@ -119,6 +120,18 @@ def stiff() -> dict[str, Tensor]:
 
 def dynamics(**given: Any) -> SoftArmDynamics:
     return SoftArmDynamics(**{"lengths": lengths(), **stiff(), **given})
+
+
+def twisted() -> dict[str, Tensor]:
+    return {
+        "torsional_stiffness": numbers(0.3, 0.2),
+        "shear_stiffness": numbers(500.0, 400.0),
+        "radius": number(0.02),
+    }
+
+
+def rod(**given: Any) -> RodDynamics:
+    return RodDynamics(**{"lengths": lengths(), **stiff(), **twisted(), **given})
 
 
 def solver(**settings: Any) -> InverseKinematics:

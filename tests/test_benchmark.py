@@ -27,7 +27,8 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     env = os.environ | {"PYTHONPATH": os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])}
     command = [
         sys.executable, "-m", "apcc_torch.benchmark", "grid=small", "grid.duration=0.2", "hydra.run.dir=out",
-        "~grid.comparisons.B", "~grid.comparisons.A.runs.run_1", "~grid.comparisons.A.runs.robot_2",
+        "~grid.comparisons.B", "~grid.comparisons.C",
+        "~grid.comparisons.A.runs.run_1", "~grid.comparisons.A.runs.robot_2",
         f"experiments.common={quick}", 'experiments.adaptive=["adaptation=normalised"]',
     ]  # fmt: skip
     done = subprocess.run(command, cwd=folder, env=env, capture_output=True, text=True, check=False, timeout=300)

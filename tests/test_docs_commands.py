@@ -60,7 +60,7 @@ UNRUN_BLOCKS: dict[str, str] = {
 NEEDS = {"sweep=optuna": "hydra_plugins.hydra_optuna_sweeper"}
 """What a command holds -> the extra that it cannot be composed without."""
 
-CHOSEN = ("residual", "adaptation", "model", "dynamics_law")
+CHOSEN = ("plant", "residual", "adaptation", "model", "dynamics_law")
 """Groups whose choices have keys of their own."""
 
 COMMANDS = list({command.text: command for page in PAGES for command in commands(page)}.values())
@@ -79,7 +79,7 @@ def composed_benchmark(*overrides: str) -> BenchmarkSettings:
         for name, comparison in config.grid.comparisons.items():
             named = [run for run in comparison.runs if f"{name}.runs.{run}" in " ".join(overrides)]
             for run in named or [*comparison.runs][:1]:
-                assert benchmark.pair(config, comparison.runs[run])
+                assert benchmark.rows(config, comparison, run)
     return config
 
 

@@ -37,8 +37,11 @@ from apcc_torch.model.friction import TendonTransmission, TendonTransmissionSett
 from apcc_torch.part import Configurable, Part, part_of, row_tensors
 from apcc_torch.settings import Setting, Settings, about_of, default_of, resolved, setting
 from apcc_torch.simulation.divergence import Divergence
+from apcc_torch.simulation.events import ArmEvents, ArmEventsSettings
 from apcc_torch.simulation.plant import Plant, PlantSettings
+from apcc_torch.simulation.rod_plant import RodPlant, RodPlantSettings
 from apcc_torch.simulation.sensors import PoseSensors
+from apcc_torch.simulation.true_places import PlaceErrors
 from apcc_torch.spread import Numbers
 from arms import HANGING_BASE, PI
 from every_class import needed, settings_classes, subclasses
@@ -202,6 +205,7 @@ FIVE = torch.tensor([0.1, 14.0, 30.0, 0.1, 1.0], dtype=D)
 
 MAKE: dict[type[Part], Callable[..., Part]] = {
     AdaptiveDynamics: lambda **s: AdaptiveDynamics(FIVE, 0.1 * FIVE, **s),
+    ArmEvents: lambda **s: ArmEvents(3, **s),
     AdaptiveLaw: lambda **s: AdaptiveLaw(3, **s),
     AffineBackbone: lambda **s: AffineBackbone(3, HANGING_BASE, **s),
     APCCController: controller,
@@ -212,6 +216,7 @@ MAKE: dict[type[Part], Callable[..., Part]] = {
     LengthBounds: lambda **s: LengthBounds(PI, X, **s),
     NormalisedLaw: lambda **s: NormalisedLaw(3, **s),
     Plant: lambda **s: Plant(ARM.dynamics(), ARM.routing(), None, torch.zeros(2, dtype=D), PlantSettings(**s)),
+    RodPlant: lambda **s: RodPlant.on(ARM, torch.zeros(2, dtype=D), RodPlantSettings(**s)),
     PoseFilter: PoseFilter,
     PoseSensors: PoseSensors,
     SavitzkyGolay: SavitzkyGolay,
@@ -228,8 +233,10 @@ OTHER: dict[str, Any] = {
     "CompositeController.lower": (0.01, 1.0, 0.0, 0.0, 0.5),
     "CompositeController.upper": (1.0, 99.0, 900.0, 1.0, 2.0),
     "ConstantStrainBackbone.strains": ("bend_x", "bend_y", "torsion", "elongation"),
-    "Plant.arm": ArmChanges(mass=2.0),
-    "Plant.pid": TendonPIDSettings(K_P=700.0, force_limit=40.0),
+    "arm": ArmChanges(mass=2.0),
+    "events": ArmEventsSettings(taken=-0.1, growth=0.1),
+    "pid": TendonPIDSettings(K_P=700.0, force_limit=40.0),
+    "places": PlaceErrors(sensors=-0.01),
     "window": 9,
 }
 """Values of settings for which one more, or another choice, is none."""
@@ -269,11 +276,14 @@ def within(about: Any, value: float) -> bool:
     return True
 
 
+PARTS_MORE = ((Plant, "transmission"), (RodPlant, "transmission"))
+"""Settings with which a part has a part more."""
+
 CASES = [
     (part, each, i, value)
     for part in MAKE
     for each in fields(part.settings_type)
-    if (part, each.name) != (Plant, "transmission")  # a part more
+    if (part, each.name) not in PARTS_MORE
     for i, value in enumerate(others(part, each))
 ]
 

@@ -27,7 +27,9 @@ from apcc_torch.model.arm import Arm
 from apcc_torch.model.backbone import PCCBackbone
 from apcc_torch.part import Configurable, part_of
 from apcc_torch.settings import About, Settings, about_of, aligned, check_setting, default_of, is_on, names, resolved
-from apcc_torch.simulation.plant import Plant, PlantSettings
+from apcc_torch.simulation.events import ArmEvents
+from apcc_torch.simulation.plant import Plant
+from apcc_torch.simulation.rod_plant import RodPlant
 from apcc_torch.simulation.sensors import PoseSensors
 from arms import HANGING_BASE, PI
 from every_class import needed, settings_classes, subclasses
@@ -219,13 +221,23 @@ def controlled(**settings: Any) -> Tensor:
     return made(made.initial_state(q, PI), Measurement(T, rows(0.1, 0.1, 0.1)), target)[1].q_d
 
 
-def moved(**settings: Any) -> Tensor:
-    made = Plant.on(Arm(lengths=[0.2, 0.25]), rows(0.0, 0.1, 0.3), PlantSettings(refine=1, **settings))
+def moved(kind: type[Plant] = Plant, **settings: Any) -> Tensor:
+    made = kind.on(Arm(lengths=[0.2, 0.25]), rows(0.0, 0.1, 0.3), kind.settings_type(refine=1, **settings))
     now = made.straight((ROWS,))
     pull = ramp(now.z, 0.01 * randn(ROWS, now.z.shape[-1]), 1.0, 0.01)
     for k in range(3):
         now = made.advance(now, pull, 0.005, k)
     return now.arm.q
+
+
+def sheared(**settings: Any) -> Tensor:
+    return moved(RodPlant, **settings)
+
+
+def happened(**settings: Any) -> Tensor:
+    made = ArmEvents(2, **{"taken": 0.1, "taken_at": 2.0, "growth": 0.1, **settings})
+    time = rows(1.0, 2.0, 6.0)
+    return torch.cat((made.payload(rows(0.1, 0.2, 0.3), time).unsqueeze(-1), made.growth_at(time)), dim=-1)
 
 
 USES: dict[tuple[type, Callable[..., Tensor]], dict[str, tuple[float, ...]]] = {
@@ -294,6 +306,17 @@ USES: dict[tuple[type, Callable[..., Tensor]], dict[str, tuple[float, ...]]] = {
     },
     (Plant, moved): {
         "tendon_damping": (0.0, 50.0, 500.0),
+        "backlash": (0.0, 1e-3, 9e-3),
+    },
+    (RodPlant, sheared): {
+        "radius": (0.01, 0.02, 0.04),
+        "poisson": (0.0, 0.3, 0.5),
+    },
+    (ArmEvents, happened): {
+        "taken": (-0.15, 0.0, 0.5),
+        "taken_at": (0.5, 2.5, 4.0),
+        "growth_from": (0.0, 1.0, 5.5),
+        "growth_over": (0.5, 10.0, 100.0),
     },
 }
 """Parts in use, and three values for each of their numbers: one a row."""

@@ -14,6 +14,24 @@ class PairSettings(Settings):
 
     standard: str = setting(meaning="experiment of the standard controller")
     adaptive: str = setting(meaning="experiment of the adaptive controller")
+    common: tuple[str, ...] = setting(
+        (), meaning="settings of every row of this run, as apcc_torch.simulate takes them"
+    )
+    changes: dict[str, tuple[str, ...]] = setting(factory=dict, meaning="row: settings that it has in this run alone")
+
+
+@dataclass(frozen=True, kw_only=True)
+class RowSettings(Settings):
+    """One row of a comparison in which nothing but the law differs."""
+
+    about: str = setting("", meaning="what it is")
+    settings: tuple[str, ...] = setting((), meaning="the law, as apcc_torch.simulate takes it")
+    searched: str | None = setting(
+        None,
+        meaning="what is searched for on the training set-points with the true shape known: lengths, constant rest "
+        "lengths; gamma, of Eq. (15); null: nothing",
+        choices=("lengths", "gamma"),
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -22,6 +40,10 @@ class ComparisonSettings(Settings):
 
     about: str = setting("", meaning="the idea")
     runs: dict[str, PairSettings] = setting(factory=dict, meaning="name: the experiments of its two controllers")
+    common: tuple[str, ...] = setting((), meaning="settings of every row, as apcc_torch.simulate takes them")
+    rows: dict[str, RowSettings] = setting(
+        factory=dict, meaning="name: a row that differs in its law alone; none: standard and adaptive, fixed and not"
+    )
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -11,7 +11,7 @@ from apcc_torch.composition.run_settings import RunSettings
 from apcc_torch.control.controller import APCCController
 from apcc_torch.control.trajectory import SetPoint, SineTrajectory
 from apcc_torch.errors import ConfigError
-from apcc_torch.model.arm import Arm, vector, with_changes
+from apcc_torch.model.arm import Arm, vector
 from apcc_torch.model.kinematic_model import KinematicModel
 from apcc_torch.model.tendons import TendonRouting
 from apcc_torch.part import part_of
@@ -61,7 +61,7 @@ class Builder:
     @property
     def true_arm(self) -> Arm:
         """The arm of the plant."""
-        return with_changes(self.arm, self.config.plant.arm)
+        return self.config.plant.true_arm(self.arm)
 
     @property
     def n_sections(self) -> int:

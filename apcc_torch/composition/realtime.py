@@ -40,6 +40,9 @@ class SeriesSettings(Settings):
 
     study: str | None = setting(None, meaning="experiment_1 or experiment_2: the table and figures made of the runs")
     runs: Mapping[str, list[str]] = setting(factory=dict, meaning="name: [key=value, ...], what differs in that run")
+    sampled: int = setting(
+        0, "", OURS, "so many runs of experiment I with tendons and estimates drawn, instead of `runs`", least=0
+    )
     only: tuple[str, ...] | None = setting(
         None, meaning="names; null: all of them. On an arm that has to be brought to rest by hand: one"
     )
@@ -87,5 +90,7 @@ def of_a_realtime_run(c: RealtimeSettings) -> Unread:
         yield "plant sensors", "the arm is a real one"
     if c.calibration.file is None and e.kind != "calibration":
         yield "calibration", "calibration.file names none"
-    if not c.series.runs:
+    if not c.series.runs and not c.series.sampled:
         yield "series", "there are no series.runs"
+    if c.series.sampled:
+        yield "series.runs", "series.sampled draws the runs"

@@ -14,7 +14,7 @@ from apcc_torch.control.composite_controller import CompositeController
 from apcc_torch.control.control_settings import ControlSettings
 from apcc_torch.errors import ConfigError, ValueRangeError
 from apcc_torch.estimation.sensor_gate import SensorGateSettings
-from apcc_torch.model.arm import Arm, Lengths, vector, with_changes
+from apcc_torch.model.arm import Arm, Lengths, vector
 from apcc_torch.native.compiled import MODES
 from apcc_torch.reading import keyed
 from apcc_torch.settings import OURS, PAPER, Setting, Settings, setting
@@ -121,8 +121,8 @@ class RunSettings(FolderSettings, ControlSettings):
 
     def check(self) -> None:
         """Raises where a target is far beyond the arm, or the plant's arm is none."""
-        with keyed("plant.arm"):
-            with_changes(self.arm, self.plant.arm)
+        with keyed("plant"):
+            self.plant.true_arm(self.arm)
         reach = FARTHEST * float(self.arm.rest_lengths().sum(-1).max())
         for key, distance in self.experiment.farthest().items():
             if distance > reach:

@@ -79,6 +79,11 @@ def of_a_run(c: RunSettings, velocity: bool = False) -> Unread:
         yield "arm.tendon_offset", "arm.tendons.offsets says it"
     for on in ("arm", "plant.arm"):
         yield f"{on}.actuation {on}.mounts {on}.rest_bend {on}.placement.position", "identification alone needs it"
+    events = c.plant.events
+    if events.taken == 0:
+        yield "plant.events.taken_at", "plant.events.taken is zero"
+    if events.growth == 0:
+        yield "plant.events.growth_from plant.events.growth_over", "plant.events.growth is zero"
     if e.setpoints:
         yield SINE, "experiment.setpoints are the targets"
     elif e.kind != "kinematic":

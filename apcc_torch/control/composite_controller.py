@@ -139,7 +139,7 @@ class CompositeController(Part):
         if kinematic.routing is None:
             raise ConfigError("a controller with a model of the dynamics needs a tendon routing")
         if kinematic.shape is not None:
-            raise ConfigError("a feed-forward of the dynamics learns at q_bar of algorithm 2: adaptation=shape has none")
+            raise ConfigError("a feed-forward of the dynamics needs q_bar of algorithm 2, not adaptation=shape")
         if not isinstance(kinematic.backbone, PCCBackbone):
             raise ConfigError("a feed-forward of the dynamics needs a model of constant-curvature sections, model=pcc")
         self.kinematic = kinematic

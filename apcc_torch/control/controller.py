@@ -102,7 +102,7 @@ class APCCController(Part):
         self.integral = integral
         self.shape = shape if s.adaptive else None
         if self.shape is not None and any(law.needs_sensitivity for law in self.laws):
-            raise ConfigError("a law along the derivative of algorithm 2's q_bar, cannot run beside a law of the shape")
+            raise ConfigError("a law along the derivative of algorithm 2's q_bar cannot run beside a law of the shape")
         self.routing = routing
         self.hold(s)
 

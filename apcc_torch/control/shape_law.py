@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, cast
 
 import torch
 from torch import Tensor
@@ -56,7 +56,7 @@ class ShapeLaw(LengthLaw):
 
     def shape_feedback(self, arm: Arm, backbone: KinematicModel) -> ShapeFeedback:
         """See `LengthLaw.shape_feedback`."""
-        return ShapeFeedback.on(arm, backbone, self.settings)
+        return ShapeFeedback.on(arm, backbone, cast(ShapeLawSettings, self.settings))
 
     def speed(self, step: LawStep, memory: Memory) -> tuple[Tensor, Memory]:
         """See `LengthLaw.speed`."""

@@ -9,6 +9,7 @@ from torch import Tensor
 
 from apcc_torch.envs.places import Places
 from apcc_torch.model.inertia import base_frames, bending, rotate
+from apcc_torch.model.kinematic_model import KinematicModel
 from apcc_torch.part import Part
 
 
@@ -57,6 +58,31 @@ class BackbonePoints(Part):
         """The positions on arms with configurations (N, 3 n) and rest lengths (N, n), m."""
         points = backbone_points(q, lengths, self.base, self.powers)
         return Positions(points if self.whole else points[:, self.backbone], points[:, self.sensors])
+
+
+class ModelPoints(Part):
+    """The same positions on arms of any model, which places them itself.
+
+    Args:
+        backbone, sensors, parts: See `BackbonePoints`.
+        model: Of the arm, with all its parts.
+    """
+
+    share: Tensor
+    section: Tensor
+
+    def __init__(self, backbone: Places, sensors: Places, parts: int, model: KinematicModel) -> None:
+        super().__init__()
+        self.model = model
+        shares, sections = zip(*(_in_parts(each, parts) for each in (backbone, sensors)), strict=True)
+        self.many = len(shares[0])
+        self.register_buffer("share", torch.cat(shares).to(model.base_rotation))
+        self.register_buffer("section", torch.cat(sections).to(model.base_rotation.device))
+
+    def forward(self, q: Tensor, lengths: Tensor) -> Positions:
+        """The positions on arms with configurations (N, n) and rest lengths (N, n_t), m."""
+        points = self.model.pose(q, lengths, self.share, self.section)[..., :3, 3]
+        return Positions(points[:, : self.many], points[:, self.many :])
 
 
 def _in_parts(at: Places, parts: int) -> tuple[Tensor, Tensor]:

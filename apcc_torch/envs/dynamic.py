@@ -4,24 +4,25 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, cast
 
 import torch
 from torch import Tensor
 from torch.func import functional_call
 
 from apcc_torch.control.pid import ramp
-from apcc_torch.envs.backbone_points import BackbonePoints, Positions
+from apcc_torch.envs.backbone_points import BackbonePoints, ModelPoints, Positions
 from apcc_torch.envs.places import middles_and_ends, places, sensors_of
 from apcc_torch.envs.randomisation import RowParameters
 from apcc_torch.errors import ConfigError
 from apcc_torch.linalg import solve_spd
-from apcc_torch.model.arm import Arm, with_changes
+from apcc_torch.model.arm import Arm
+from apcc_torch.model.backbone import PCCBackbone
 from apcc_torch.model.integrators import ArmState
-from apcc_torch.part import Part
-from apcc_torch.reading import read
+from apcc_torch.part import Part, part_of
+from apcc_torch.reading import read_part
 from apcc_torch.settings import OURS, Settings, resolved, setting
-from apcc_torch.simulation.plant import Plant, PlantSettings
+from apcc_torch.simulation.plant import Plant, PlantSettings, PlantState
 
 PLANT = {"substeps": 1}
 """How the plant of an environment differs from a simulation's: one step of 10 ms stays within 0.1 mm of sixteen."""
@@ -36,7 +37,10 @@ class DynamicArmSettings(Settings):
     """Settings of `DynamicArm`."""
 
     plant: Mapping[str, Any] = setting(
-        factory=dict, unit="", source=OURS, meaning="dynamic arms: what differs on the plant, keys of `PlantSettings`"
+        factory=dict,
+        unit="",
+        source=OURS,
+        meaning="dynamic arms: what differs on the plant, keys of `Plant` or its `kind`",
     )
 
     def check(self) -> None:
@@ -46,14 +50,7 @@ class DynamicArmSettings(Settings):
 
     def plant_settings(self) -> PlantSettings:
         """The plant's settings."""
-        return read({**PLANT, **self.plant}, PlantSettings, "plant")
-
-
-class DynamicState(NamedTuple):
-    """The arm, and the integral z (N, n_a) of its tendon loop, m s."""
-
-    arm: ArmState
-    z: Tensor
+        return cast(PlantSettings, read_part({**PLANT, **self.plant}, Plant, "plant", default=PlantSettings()))
 
 
 class _Moves(Part):
@@ -63,12 +60,11 @@ class _Moves(Part):
         super().__init__()
         self.plant, self.period, self.substeps = plant, period, substeps
 
-    def forward(self, state: DynamicState, y: Tensor, y_next: Tensor) -> DynamicState:
-        arm, z = state
+    def forward(self, state: PlantState, y: Tensor, y_next: Tensor) -> PlantState:
         for i in range(1, self.substeps + 1):
             reference = ramp(y, y_next, i / self.substeps, self.period)
-            arm, z = self.plant.step(arm, z, reference, self.period / self.substeps)
-        return DynamicState(arm, z)
+            state = self.plant.step(state, reference, self.period / self.substeps)
+        return state
 
 
 class _AtRest(Part):
@@ -108,16 +104,16 @@ class DynamicArm(Part):
         s = resolved(DynamicArmSettings, settings, changes)
         self.hold(s)
         own = s.plant_settings()
-        self.arm, self.varied, self.refine = with_changes(arm, own.arm), varied, own.refine
+        self.arm, self.varied, self.refine = own.true_arm(arm), varied, own.refine
         if (self.arm.n_sections, self.arm.n_tendons) != (arm.n_sections, arm.n_tendons):
             raise ConfigError("plant.arm must have as many sections and tendons as the arm")
-        plant = Plant.on(arm, torch.zeros((), dtype=torch.float64), own).to(like)
+        plant = part_of(own).on(arm, torch.zeros((), dtype=torch.float64), own).to(like)
         self.moves = _Moves(plant, period, own.substeps)
         self.leans = bool(plant.dynamics.base_rotation[2, 2].abs() < 1.0 - 1e-9)
         self.register_buffer("nominal", plant.dynamics.lengths)
-        self.places = BackbonePoints(
-            middles_and_ends(arm.n_sections), sensors_of(self.arm, True), self.refine, plant.dynamics.base_rotation
-        )
+        at = middles_and_ends(arm.n_sections), sensors_of(self.arm, True), self.refine
+        kin = isinstance(plant.backbone, PCCBackbone)
+        self.places = BackbonePoints(*at, plant.dynamics.base_rotation) if kin else ModelPoints(*at, plant.backbone)
         # Only what a tendon does on its way asks where the racks of a row's own arm are.
         lengths, routing = self.arm.rest_lengths(), self.arm.routing()
         ends = {"anchors": routing.anchors, "starts": routing.starts} if plant.transmission is not None else {}
@@ -127,40 +123,40 @@ class DynamicArm(Part):
         """(N, n_t) true rest lengths of the plant's sections, m."""
         return self.nominal * rows.lengths.repeat_interleave(self.refine, dim=-1)
 
-    def initial(self, rows: RowParameters) -> DynamicState:
+    def initial(self, rows: RowParameters) -> PlantState:
         """Arms at rest under gravity, their tendons held at their zero lengths.
 
         A straight arm that hangs or stands has no force on its bends, and the one on its elongations does not depend on
         them: (K + K_P B B^T) q = -G(0) holds there, not only near it. One that leans finds its rest step by step.
         """
         plant, own = self.moves.plant, self._own(rows)
-        zero = torch.zeros_like(self.lengths(rows)).repeat_interleave(3, dim=-1)
+        zero = rows.payload.new_zeros(*rows.payload.shape, plant.dynamics.n)
         q = zero
         for _ in range(LEANING_STEPS if self.leans else 1):
             gravity, stiffness = functional_call(_AtRest(plant), own, (q,))
             held = torch.diag_embed(stiffness) + plant.actuation_stiffness
             q = solve_spd(held.expand(*zero.shape, -1), -gravity.unsqueeze(-1)).squeeze(-1)
-        return DynamicState(ArmState(q, zero), torch.zeros_like(plant.lengths(zero)))
+        return plant.straight(q.shape[:-1])._replace(arm=ArmState(q, zero))
 
-    def step(self, state: DynamicState, y: Tensor, y_next: Tensor, q_d: Tensor, rows: RowParameters) -> DynamicState:
+    def step(self, state: PlantState, y: Tensor, y_next: Tensor, q_d: Tensor, rows: RowParameters) -> PlantState:
         """The arms after one control period in which their tendons' references go from y to y_next (N, n_a), m."""
-        later: DynamicState = functional_call(self.moves, self._own(rows), (state, y, y_next))
+        later: PlantState = functional_call(self.moves, self._own(rows), (state, y, y_next))
         return later
 
-    def points(self, state: DynamicState, rows: RowParameters) -> Positions:
+    def points(self, state: PlantState, rows: RowParameters) -> Positions:
         """Where they are."""
         positions: Positions = self.places(state.arm.q, self.lengths(rows))
         return positions
 
-    def tendons(self, state: DynamicState) -> Tensor:
+    def tendons(self, state: PlantState) -> Tensor:
         """(N, n_a) tendon length changes, m."""
         return self.moves.plant.lengths(state.arm.q)
 
-    def configuration(self, state: DynamicState) -> Tensor:
+    def configuration(self, state: PlantState) -> Tensor:
         """q (N, n) of the true arm."""
         return state.arm.q
 
-    def coordinates(self, state: DynamicState) -> tuple[Tensor, ...]:
+    def coordinates(self, state: PlantState) -> tuple[Tensor, ...]:
         """What must stay finite and within bounds, each (N, n)."""
         return *state.arm, state.z
 
@@ -173,11 +169,11 @@ class DynamicArm(Part):
                 self._factor(rows, arm.stiffness_rule == "series" or rigidity is not None)
                 for rigidity in (arm.axial_rigidity, arm.bending_rigidity)
             )
-            damping = torch.stack((bending, bending, axial), dim=-1).flatten(-2)
+            factors = {name: axial if name == "axial_stiffness" else bending for name in dynamics.springs}
+            damping = torch.stack([factors[name] for name in dynamics.springs], dim=-1).flatten(-2)
+            own |= {f"plant.dynamics.{name}": getattr(dynamics, name) * factor for name, factor in factors.items()}
             own |= {
                 "plant.dynamics.lengths": lengths,
-                "plant.dynamics.axial_stiffness": dynamics.axial_stiffness * axial,
-                "plant.dynamics.bending_stiffness": dynamics.bending_stiffness * bending,
                 "plant.dynamics.own_damping": dynamics.damping_diagonal * damping,
                 "plant.dynamics.batch_marker": torch.zeros_like(rows.payload),
             }

@@ -17,7 +17,7 @@ from apcc_torch.control.step_io import ControllerState
 from apcc_torch.envs.actions import Drive
 from apcc_torch.envs.adaptation import AdaptiveLoop, AdaptiveLoopSettings
 from apcc_torch.envs.backbone_points import Positions
-from apcc_torch.envs.dynamic import DynamicArm, DynamicArmSettings, DynamicState
+from apcc_torch.envs.dynamic import DynamicArm, DynamicArmSettings
 from apcc_torch.envs.kinematic import KinematicArm, KinematicState
 from apcc_torch.envs.places import places
 from apcc_torch.envs.randomisation import Ranges, RowParameters
@@ -32,6 +32,7 @@ from apcc_torch.part import Part
 from apcc_torch.reading import read
 from apcc_torch.settings import OURS, resolved, setting
 from apcc_torch.simulation.divergence import Divergence, DivergenceSettings, stretch
+from apcc_torch.simulation.plant import PlantState
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -108,7 +109,7 @@ class EnvState(NamedTuple):
 
     rows: RowParameters
     goal: Goal
-    arm: KinematicState | DynamicState
+    arm: KinematicState | PlantState
     q_d: Tensor
     y: Tensor
     controller: ControllerState | None
@@ -274,7 +275,7 @@ class Simulator(Part):
         return command.q_d, y, controller
 
     def _stretches(
-        self, arm: KinematicState | DynamicState, controller: ControllerState | None, rows: RowParameters
+        self, arm: KinematicState | PlantState, controller: ControllerState | None, rows: RowParameters
     ) -> Tensor:
         """(N, m) elongations of the arm's sections, and of the model's, over their rest lengths."""
         arms = stretch(self.arm.configuration(arm), self.arm.lengths(rows))
@@ -316,7 +317,7 @@ class Simulator(Part):
 class _Moved(NamedTuple):
     """The parts of a state that a step moves."""
 
-    arm: KinematicState | DynamicState
+    arm: KinematicState | PlantState
     q_d: Tensor
     y: Tensor
     controller: ControllerState | None

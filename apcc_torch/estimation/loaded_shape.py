@@ -139,9 +139,9 @@ class LoadedShape(Part):
             strain: (..., n) bends and elongations of the sections, as a `PCCBackbone` has them.
         """
         load = torch.zeros_like(strain[..., 0])
-        sag = torch.zeros_like(self._spread(strain))
-        mass = self._mass(strain)
-        return ShapeState(strain, load, (aligned(self.load, 0) * mass).square().expand_as(load), torch.stack((sag, sag), -2))
+        variance = (aligned(self.load, 0) * self._mass(strain)).square().expand_as(load)
+        none = torch.zeros_like(self._spread(strain))
+        return ShapeState(strain, load, variance, torch.stack((none, none), dim=-2))
 
     def configuration(self, state: ShapeState) -> Tensor:
         """q_f (..., n_f) of the arm's pieces: rad, rad, m."""
@@ -164,10 +164,10 @@ class LoadedShape(Part):
         r, J = self._residual(state, T, usable, oriented, y)
         mass = self._mass(r)
         walked = state.variance + (aligned(self.load_rate, 0) * mass).square() * dt
-        prior = (aligned(self.load, 0) * mass).square().reciprocal()
+        walked = torch.minimum(walked, (aligned(self.load, 0) * mass).square())
         deviation = self._deviation(state.strain)
-        weight = torch.cat((deviation.square().reciprocal(), (walked.reciprocal() + prior).unsqueeze(-1)), dim=-1)
-        pull = torch.cat((state.strain / deviation.square(), (prior * state.load).unsqueeze(-1)), dim=-1)
+        weight = torch.cat((deviation.square().reciprocal(), walked.reciprocal().unsqueeze(-1)), dim=-1)
+        pull = torch.cat((state.strain / deviation.square(), torch.zeros_like(walked).unsqueeze(-1)), dim=-1)
         H = J.mT @ J + torch.diag_embed(weight)
         last = torch.cat((torch.zeros_like(state.strain), torch.ones_like(state.load).unsqueeze(-1)), dim=-1)
         solved = solve_spd(H, torch.stack(((J.mT @ r.unsqueeze(-1)).squeeze(-1) - pull, last), dim=-1))
@@ -180,12 +180,18 @@ class LoadedShape(Part):
             sag,
         )
         finite = torch.isfinite(step).all(-1)
-        return ShapeState(*(torch.where(finite[(..., *(None,) * (new.dim() - finite.dim()))], new, old)
-                            for new, old in zip(moved, state, strict=True)))
+        return ShapeState(
+            *(
+                torch.where(finite[(..., *(None,) * (new.dim() - finite.dim()))], new, old)
+                for new, old in zip(moved, state, strict=True)
+            )
+        )
 
     def _spread(self, strain: Tensor) -> Tensor:
         """S c: each piece takes an equal part of its section's strain (..., n_f)."""
-        return (strain.unflatten(-1, (-1, 1, 3)) / self.refine).expand(*strain.shape[:-1], -1, self.refine, 3).flatten(-3)
+        return (
+            (strain.unflatten(-1, (-1, 1, 3)) / self.refine).expand(*strain.shape[:-1], -1, self.refine, 3).flatten(-3)
+        )
 
     def _gathered(self, J: Tensor) -> Tensor:
         """J S (..., n) of J (..., n_f)."""
@@ -237,7 +243,7 @@ class LoadedShape(Part):
         off = y - (B.mT @ q.unsqueeze(-1)).squeeze(-1)
         known = torch.isfinite(off)
         scale = known.to(q) / aligned(self.tendon_noise, 1)
-        each = (B.mT @ state.sag[..., 1, :, None])
+        each = B.mT @ state.sag[..., 1, :, None]
         row = torch.cat((self._gathered(B.mT).expand(*each.shape[:-1], -1), each), dim=-1)
         return (
             torch.cat((r, torch.where(known, off, 0.0) * scale), dim=-1),

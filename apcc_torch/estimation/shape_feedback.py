@@ -65,7 +65,7 @@ class ShapeFeedback(Part):
         return cls(LoadedShape.on(arm, settings), ArcFit(backbone, arm.rest_lengths().clone(), settings))
 
     def initial_state(self, q: Tensor, pi_hat: Tensor) -> FollowedShape:
-        """A shape of which the model's configuration q (..., n) and rest lengths pi_hat (..., n_b) are the first guess."""
+        """A shape of which the model's configuration q (..., n) and rest lengths pi_hat (..., n_b) tell first."""
         backbone = self.fit.backbone
         bends, nominal = backbone.coordinates.bends(q), self.fit.nominal.to(q)
         lengths = pi_hat + q[..., backbone.coordinates.elongations]
@@ -109,7 +109,7 @@ class ShapeFeedback(Part):
         return coordinates.from_bends(x, y) + coordinates.on_elongations(elongation)
 
     def curve(self, state: ShapeState) -> tuple[Tensor, Tensor]:
-        """Points (..., N, 3) on the arm, m, `SAMPLES` on each of its pieces, and their shares of its length (..., N)."""
+        """Points (..., N, 3) of the arm, m, `SAMPLES` on each piece, and their shares of its length (..., N)."""
         q, arm = self.shape.configuration(state), self.shape.backbone
         rest = self.shape.dynamics.lengths.to(q)
         rest = rest.expand(*q.shape[:-1], rest.shape[-1])

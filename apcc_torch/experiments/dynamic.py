@@ -20,7 +20,6 @@ from apcc_torch.control.length_bounds import LengthBounds
 from apcc_torch.control.trajectory import Trajectory
 from apcc_torch.experiments.folder import RunFolder, progress_bar, warn
 from apcc_torch.model.abscissae import decouple
-from apcc_torch.model.backbone import PCCBackbone
 from apcc_torch.model.dynamics_regressor import PARAMETERS
 from apcc_torch.model.kinematic_model import KinematicModel
 from apcc_torch.report import dynamic as figures
@@ -31,6 +30,7 @@ from apcc_torch.report.style import Draw, attempt, save_figures
 from apcc_torch.simulation.divergence import Divergence, sentence
 from apcc_torch.simulation.dynamic import DynamicLog, DynamicSettings, simulate_dynamic
 from apcc_torch.simulation.metrics import backbone_error, mapping_error, orientation_error
+from apcc_torch.simulation.plant import Plant
 from apcc_torch.simulation.progress import Progress
 
 INSTANTS = 200
@@ -42,7 +42,7 @@ SETTLED = 0.01
 class Arms(NamedTuple):
     """The true arm and the model of a run, and what judges whether they ran away."""
 
-    true: PCCBackbone
+    true: KinematicModel
     true_lengths: Tensor  # (n_t,) m
     model: KinematicModel
     sensors: Tensor  # (k,) m
@@ -99,7 +99,7 @@ def simulate(
             progress or progress_bar(label, config.progress),
             build.true_sensors_at(),
         )
-    return Outcome(log, _arms_of(build, controller, plant.backbone, plant.dynamics.lengths, payload))
+    return Outcome(log, _arms_of(build, controller, plant))
 
 
 def _rows(build: Builder) -> tuple[Trajectory, Tensor]:
@@ -128,32 +128,26 @@ def arrays(outcome: Outcome) -> dict[str, Tensor]:
     return outcome.log._asdict()
 
 
-def metrics(outcome: Outcome) -> dict[str, float]:
-    """Metrics of one run."""
-    return dynamic_metrics(curves(thinned(outcome.log), outcome.arms)) | estimate_metrics(outcome)
+def metrics(outcome: Outcome, c: figures.RunCurves | None = None) -> dict[str, float]:
+    """Metrics of one run; `c` are its `curves`, where they are there already."""
+    c = curves(thinned(outcome.log), outcome.arms) if c is None else c
+    return dynamic_metrics(c) | effort_metrics(outcome.log) | estimate_metrics(outcome)
 
 
 def _arms(config: SimulateSettings) -> Arms:
     build = Builder(config)
-    lengths = build.true_lengths()
-    true = PCCBackbone(lengths.shape[-1], build.base_rotation())
-    return _arms_of(build, build.controller(), true, lengths, _rows(build)[1])
+    return _arms_of(build, build.controller(), build.plant(_rows(build)[1]))
 
 
-def _arms_of(
-    build: Builder,
-    controller: APCCController | CompositeController,
-    true: PCCBackbone,
-    lengths: Tensor,
-    payload: Tensor,
-) -> Arms:
+def _arms_of(build: Builder, controller: APCCController | CompositeController, plant: Plant) -> Arms:
     kinematic = controller.kinematic if isinstance(controller, CompositeController) else controller
+    end = torch.full_like(plant.payload, build.config.experiment.duration)
     return Arms(
-        true,
-        lengths,
+        plant.backbone,
+        plant.dynamics.lengths,
         kinematic.backbone,
         kinematic.feedback.abscissae,
-        true_parameters(build, payload),
+        true_parameters(build, plant.events.payload(plant.payload, end)),
         build.divergence(),
         kinematic.bounds if kinematic.adaptive else None,
         1.0 / build.config.controller.rate,
@@ -219,6 +213,7 @@ def dynamic_metrics(c: figures.RunCurves) -> dict[str, float]:
         "sensor_error_linear_mean_mm": 1e3 * c.linear.mean(),
         "sensor_error_angular_mean_rad": c.angular.mean(),
         "mapping_error_mean_mm": 1e3 * c.mapping_error.mean(),
+        "mapping_error_end_mm": 1e3 * c.mapping_error[-1].mean(),
         "pi_drift_end_max_mm": 1e3 * (c.pi_hat[-1] - c.pi_hat[0]).abs().max(),
     }
     for i in range(c.linear.shape[-1]):
@@ -229,8 +224,14 @@ def dynamic_metrics(c: figures.RunCurves) -> dict[str, float]:
     return {name: float(value) for name, value in metrics.items()}
 
 
+def effort_metrics(log: DynamicLog) -> dict[str, float]:
+    """What force the tendons took."""
+    values = {"tendon_force_rms_n": log.u.square().mean().sqrt(), "tendon_force_max_n": log.u.abs().max()}
+    return {name: float(value) for name, value in values.items()}
+
+
 def estimate_metrics(outcome: Outcome) -> dict[str, float]:
-    """What a law of the dynamics has found by the end, and the force it took; nothing where there is none."""
+    """What a law of the dynamics has found by the end; nothing where there is none."""
     log, arms = outcome
     if log.theta_hat.shape[-1] == 0:
         return {}
@@ -242,8 +243,6 @@ def estimate_metrics(outcome: Outcome) -> dict[str, float]:
         "bending_rigidity_end_mean_nm2": end["bending_rigidity"].mean(),
         "axial_rigidity_end_mean_n": end["axial_rigidity"].mean(),
         "tendon_damping_end_mean_nspm": end["tendon_damping"].mean(),
-        "tendon_force_rms_n": log.u.square().mean().sqrt(),
-        "tendon_force_max_n": log.u.abs().max(),
     }
     return {name: float(value) for name, value in values.items()}
 
@@ -309,7 +308,7 @@ def run(config: SimulateSettings, folder: Path) -> dict[str, float]:
     name = _name(config)
     outcome = simulate(config, label=f"{config.experiment.name}, {name}")
     c = curves(thinned(outcome.log), outcome.arms)
-    values = dynamic_metrics(c) | estimate_metrics(outcome)
+    values = metrics(outcome, c)
     warn(sentence(c.time, c.diverged))
     values["wall_s"] = time.perf_counter() - started
     RunFolder(folder).write(values, arrays(outcome), config.seed)

@@ -134,7 +134,9 @@ class Control:
         Args:
             time: Stamp before the first measurement, s.
         """
-        q = self.state.q_bar
+        # The shape stays: what the warm-up made rest length is elongation again.
+        learnt = self.state.pi_hat - self.pi_hat
+        q = self.state.q_bar + self.controller.backbone.coordinates.on_elongations(learnt)
         self.state = self._initial(q, self.pi_hat, time)
         return Start(numbers(q), numbers(self.pi_hat), time)
 

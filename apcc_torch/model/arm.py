@@ -72,7 +72,9 @@ class Arm(Settings):
     racks: Lengths | None = setting(
         None, "m", PAPER, "abscissae of the tendon racks; null: the sections' ends", above=0
     )
-    tendon_offset: float = setting(0.027, "m", PAPER, "distance of the tendons from the backbone", above=0, most=30)
+    tendon_offset: Setting = setting(
+        0.027, "m", PAPER, "distance of the tendons from the backbone", rows="number", above=0, most=30
+    )
     tendons_per_rack: int = setting(
         3, "", PAPER, "tendons of a rack, evenly spaced around the backbone", least=1, most=100
     )
@@ -199,7 +201,8 @@ class Arm(Settings):
         """Its tendons."""
         tips = self.rest_lengths().cumsum(-1)
         racks = tips if self.racks is None else vector(self.racks)
-        racked = rack_routing(racks, self.tendon_offset, self.tendons_per_rack, self.rack_twist, self.layout)
+        offset = aligned(self.tendon_offset, 1)
+        racked = rack_routing(racks, offset, self.tendons_per_rack, self.rack_twist, self.layout)
         return self.tendons.routing(racked, tips)
 
     def refined(self, factor: int) -> Tensor:

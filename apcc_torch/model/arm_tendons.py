@@ -65,7 +65,9 @@ class Tendons(Settings):
             racked.angles if self.angles is None else torch.tensor(self.angles, dtype=tips.dtype, device=tips.device)
         )
         anchors = racked.anchors if self.ends is None else tips[[end - 1 for end in self.ends]]
-        offsets = racked.offsets[0] if self.offsets is None else self.offsets
+        offsets = self.offsets
+        if offsets is None:
+            offsets = racked.offsets[..., :1].expand(*racked.offsets.shape[:-1], len(angles))
         return TendonRouting(angles, spread("tendons.offsets", offsets, len(angles)).to(tips), anchors, racked.layout)
 
 

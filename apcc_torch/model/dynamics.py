@@ -9,21 +9,20 @@ q is (dx, dy, dL) per section in rad, rad, m, so a generalized force is in N m, 
 from __future__ import annotations
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from apcc_torch.errors import ValueRangeError
+from apcc_torch.model.arm_dynamics import ArmDynamics
+from apcc_torch.model.backbone import PCCBackbone
 from apcc_torch.model.composite_inertia import Composite, assembled, composite, solved
 from apcc_torch.model.equation_of_motion import Energy, EquationOfMotion
 from apcc_torch.model.inertia import ArmShape, Bending, arm_shape, bending, mass_points, moments, own_momentum
 from apcc_torch.model.loads import Loads, Payload, carried_wrench, distributed_load, front
-from apcc_torch.model.stiffness import section_diagonal
 from apcc_torch.model.velocity_accelerations import accelerations, generalized_force, rates
-from apcc_torch.modes import holds
-from apcc_torch.part import Part, hold_rows
-from apcc_torch.shapes import batch_shape, check_finite, check_positive, check_same, check_tensor
+from apcc_torch.shapes import check_same, check_tensor
 
 
-class SoftArmDynamics(Part):
+class SoftArmDynamics(ArmDynamics):
     """Dynamics of a batch of soft arms; parameters may differ from arm to arm through their leading dimensions.
 
     Args:
@@ -46,19 +45,14 @@ class SoftArmDynamics(Part):
         tensor([-7.6300, -2.7250], dtype=torch.float64)
     """
 
-    lengths: Tensor
-    masses: Tensor
+    springs = ("bending_stiffness", "bending_stiffness", "axial_stiffness")
+
     axial_stiffness: Tensor
     bending_stiffness: Tensor
-    damping_ratio: Tensor
-    own_damping: Tensor | None
-    base_rotation: Tensor
-    gravity_acceleration: Tensor
     powers: Tensor
     weights: Tensor
     tip: Tensor
     before: Tensor
-    batch_marker: Tensor
 
     def __init__(
         self,
@@ -72,35 +66,16 @@ class SoftArmDynamics(Part):
         gravity: float | Tensor = 9.81,
         n_quadrature: int = 4,
     ) -> None:
-        super().__init__()
-        check_positive("lengths", check_tensor("lengths", lengths, (None,)))
-        n_b, dtype, device = lengths.shape[-1], lengths.dtype, lengths.device
-        given = {"masses": masses, "axial_stiffness": axial_stiffness, "bending_stiffness": bending_stiffness}
-        for name, value in given.items():
-            check_positive(name, check_tensor(name, value, (n_b,)))
-        check_same(lengths=lengths, **given)
         if n_quadrature < 2:
             raise ValueRangeError(f"n_quadrature must be at least 2, got {n_quadrature}")
-        base_rotation = torch.eye(3, dtype=dtype, device=device) if base_rotation is None else base_rotation
-        check_finite("base_rotation", check_tensor("base_rotation", base_rotation, (3, 3)))
-        ratio, acceleration = (
-            value if isinstance(value, nn.Parameter) else torch.as_tensor(value, dtype=dtype, device=device)
-            for value in (damping_ratio, gravity)
-        )
-        hold_rows(self, lengths=(lengths, 1), masses=(masses, 1), base_rotation=(base_rotation, 2))
-        hold_rows(self, axial_stiffness=(axial_stiffness, 1), bending_stiffness=(bending_stiffness, 1))
-        hold_rows(self, damping_ratio=(ratio, 0), own_damping=(damping, 1), gravity_acceleration=(acceleration, 0))
-        viscous = check_finite("damping", check_tensor("damping", self.damping_diagonal, (3 * n_b,)))
-        if not holds(viscous >= 0):
-            raise ValueRangeError("damping must not be negative")
-        check_same(lengths=lengths, damping=viscous, base_rotation=base_rotation)
-        batch = batch_shape(
-            lengths=(lengths, 1), masses=(masses, 1), stiffness=(self.stiffness_diagonal, 1), damping=(viscous, 1),
-            base_rotation=(base_rotation, 2), gravity=(acceleration, 0),
-        )  # fmt: skip
-        hold_rows(self, batch_marker=(torch.zeros(batch, dtype=dtype, device=device), 0))
-        self.n_sections, self.n_quadrature = n_b, n_quadrature
+        stiffness = {"axial_stiffness": axial_stiffness, "bending_stiffness": bending_stiffness}
+        super().__init__(lengths, masses, damping_ratio, damping, base_rotation, gravity, **stiffness)
+        self.n_quadrature = n_quadrature
         self.derive()
+
+    def kinematics(self) -> PCCBackbone:
+        """See `ArmDynamics.kinematics`."""
+        return PCCBackbone(self.n_sections, self.base_rotation)
 
     def derive(self) -> None:
         """The mass points of a section, where the tip is among them, and which sections lie before each."""
@@ -111,32 +86,6 @@ class SoftArmDynamics(Part):
         before = like.new_ones(n_b, n_b).tril(-1)
         for name, value in {"powers": powers, "weights": weights, "tip": tip, "before": before}.items():
             self.register_buffer(name, value, persistent=False)
-
-    @property
-    def diagonals(self) -> tuple[Tensor, Tensor]:
-        """Diagonals (..., n) of K, N m/rad, N m/rad, N/m a section, and of D, the same times s."""
-        K, own = section_diagonal(self.bending_stiffness, self.axial_stiffness), self.own_damping
-        return K, self.damping_ratio.unsqueeze(-1) * K if own is None else own
-
-    @property
-    def stiffness_diagonal(self) -> Tensor:
-        """The first of `diagonals`."""
-        return self.diagonals[0]
-
-    @property
-    def damping_diagonal(self) -> Tensor:
-        """The second of `diagonals`."""
-        return self.diagonals[1]
-
-    @property
-    def stiffness(self) -> Tensor:
-        """K (..., n, n), diagonal: K q = dU_elastic/dq, Eq. (38) [Dalenberg]."""
-        return torch.diag_embed(self.stiffness_diagonal)
-
-    @property
-    def damping(self) -> Tensor:
-        """D (..., n, n), diagonal."""
-        return torch.diag_embed(self.damping_diagonal)
 
     def inertia(self, q: Tensor, payload: Payload = None) -> Tensor:
         """Inertia matrix M(q) (..., n, n), symmetric positive definite.
@@ -150,10 +99,6 @@ class SoftArmDynamics(Part):
         sums = moments(bend, masses)
         shape = arm_shape(bend, base, own_momentum(bend, sums))
         return assembled(composite(bend, shape, sums, self.before))
-
-    def gravity(self, q: Tensor, payload: Payload = None) -> Tensor:
-        """G(q) = dU_gravity/dq (..., n), Eq. (38) [Dalenberg]; arguments as for `inertia`."""
-        return self.static_load(q, payload)
 
     def static_load(
         self,
@@ -201,7 +146,7 @@ class SoftArmDynamics(Part):
         n = 3 * self.n_sections
         for name, value in {"q": q, "qdot": qdot}.items():
             check_tensor(name, value, (n,))
-        dims = len(self._batch(payload, q=(q, 1), qdot=(qdot, 1)))
+        dims = len(self.batch_of(payload, q=(q, 1), qdot=(qdot, 1)))
         axes = torch.eye(n, dtype=q.dtype, device=q.device)
         axes = torch.cat((axes, -axes)).view(2 * n, *[1] * dims, n)
         columns = self.bias(q, qdot + axes, payload).unflatten(0, (2, n))
@@ -290,11 +235,6 @@ class SoftArmDynamics(Part):
         carried = carried_wrench(shape, loads, self.before)
         return generalized_force(bend, shape, forces, self.before, None if carried is None else -carried)
 
-    def _batch(self, payload: Payload, **tensors: tuple[Tensor, int]) -> torch.Size:
-        if isinstance(payload, bool) or not isinstance(payload, int | float | None):
-            tensors = tensors | {"payload": (check_tensor("payload", payload, ()), 0)}
-        return batch_shape(parameters=(self.batch_marker, 0), **tensors)
-
     def _state(
         self, payload: Payload, loads: Loads | None = None, **coordinates: Tensor
     ) -> tuple[list[Tensor], Tensor]:
@@ -305,7 +245,7 @@ class SoftArmDynamics(Part):
             given |= loads.checked(self.n_sections)
         same = {name: value for name, (value, _) in given.items()}
         check_same(lengths=self.lengths, **same, **({"payload": payload} if isinstance(payload, Tensor) else {}))
-        batch = self._batch(payload, **given)
+        batch = self.batch_of(payload, **given)
         values = [v.expand(*batch, n).movedim(-1, 0).contiguous() for v in coordinates.values()]
         dims = len(batch)
         masses = front(self.weights, 1, dims + 1) * front(self.masses, 1, dims)

@@ -68,37 +68,40 @@ class TendonTransmission(Part):
         self.routing = routing
         self.hold(resolved(TendonTransmissionSettings, settings, changes))
 
-    def forward(self, u: Tensor, q: Tensor, qdot: Tensor, lengths: Tensor) -> Tensor:
-        """Generalized force tau (..., 3 n_b), N m, N m, N per section.
+    def forward(self, u: Tensor, q: Tensor, qdot: Tensor, lengths: Tensor, matrix: Tensor | None = None) -> Tensor:
+        """Generalized force tau (..., n), N m of angles and N of lengths.
 
         Args:
             u: (..., n_a) motor-side forces conjugate to tendon length, N; tension is -u.
-            q: (..., 3 n_b) rad, rad, m.
-            qdot: (..., 3 n_b) rad/s, rad/s, m/s.
+            q: (..., n), of which each section's first two are its bends, rad.
+            qdot: (..., n) its rates.
             lengths: (..., n_b) section rest lengths of the plant, m.
+            matrix: (..., n, n_a) the model's B; None for that of constant-curvature sections, n = 3 n_b.
         """
         n_b = lengths.shape[-1]
+        if matrix is None:
+            matrix = self.routing.matrix(lengths)
+        n = matrix.shape[-2]
         check_tensor("u", u, (self.routing.n_tendons,))
-        check_tensor("q", q, (3 * n_b,))
-        check_tensor("qdot", qdot, (3 * n_b,))
+        check_tensor("q", q, (n,))
+        check_tensor("qdot", qdot, (n,))
         check_same(u=u, q=q, qdot=qdot, lengths=lengths)
         if self.slack:
             u = taut(u, self.smoothing)
-        matrix = self.routing.matrix(lengths)
         if self.friction == 0.0:
             return (matrix @ u.unsqueeze(-1)).squeeze(-1)
         speed = (matrix.mT @ qdot.unsqueeze(-1)).squeeze(-1)
         # +1 while the tendon is pulled in, -1 while it is dragged out.
         direction = torch.tanh(-speed / self.sliding_speed)
         share = self.tension_share(q, lengths, direction)
-        rows = matrix.unflatten(-2, (n_b, 3)) * share.unsqueeze(-2)
+        rows = matrix.unflatten(-2, (n_b, n // n_b)) * share.unsqueeze(-2)
         return (rows.flatten(-3, -2) @ u.unsqueeze(-1)).squeeze(-1)
 
     def tension_share(self, q: Tensor, lengths: Tensor, direction: Tensor) -> Tensor:
         """Mean tension in each section over the tension at the motor (..., n_b, n_a).
 
         Args:
-            q: (..., 3 n_b) rad, rad, m.
+            q: (..., n), of which each section's first two are its bends, rad.
             lengths: (..., n_b) section rest lengths, m.
             direction: (..., n_a) +1 pulled in, -1 dragged out, between: not fully sliding.
         """
@@ -110,11 +113,11 @@ def tension_share(fractions: Tensor, q: Tensor, rate: Tensor) -> Tensor:
 
     Args:
         fractions: (..., n_b, n_a) share of each section that each tendon traverses.
-        q: (..., 3 n_b) rad, rad, m.
+        q: (..., n), of which each section's first two are its bends, rad.
         rate: (..., n_a) relative loss of tension per radian on the way from the motor, mu times the direction of
             sliding: positive pulled in, negative dragged out.
     """
-    bend = q.unflatten(-1, (-1, 3))[..., :2]
+    bend = q.unflatten(-1, (fractions.shape[-2], -1))[..., :2]
     # The square root is rounded off within a microradian, so that the straight pose has a derivative.
     angle = torch.sqrt((bend * bend).sum(-1) + 1e-12) - 1e-6
     turned = fractions * angle.unsqueeze(-1)

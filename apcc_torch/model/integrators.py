@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from apcc_torch.linalg import solve_spd
-from apcc_torch.model.dynamics import SoftArmDynamics
+from apcc_torch.model.arm_dynamics import ArmDynamics
 from apcc_torch.model.equation_of_motion import EquationOfMotion
 from apcc_torch.model.loads import Payload
 from apcc_torch.modes import full_precision
@@ -115,7 +115,7 @@ def rk4_step(field: Field, t: Tensor, x: Tensor, dt: float | Tensor) -> Tensor:
 
 
 def _residual_force(
-    dynamics: SoftArmDynamics,
+    dynamics: ArmDynamics,
     diagonals: tuple[Tensor, Tensor],
     state: ArmState,
     tau: Tensor,
@@ -146,7 +146,7 @@ def _solve(matrix: Tensor, rhs: Tensor) -> Tensor:
 
 @full_precision
 def semi_implicit_step(
-    dynamics: SoftArmDynamics,
+    dynamics: ArmDynamics,
     state: ArmState,
     actuation: Actuation,
     dt: float,
@@ -185,7 +185,7 @@ def semi_implicit_step(
 
 @full_precision
 def rosenbrock_step(
-    dynamics: SoftArmDynamics,
+    dynamics: ArmDynamics,
     state: ArmState,
     actuate: Callable[[ArmState], Actuation],
     dt: float,

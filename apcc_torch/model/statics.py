@@ -1,4 +1,4 @@
-"""Equilibria of a soft arm under generalized forces, tendon tensions or prescribed tendon lengths."""
+"""Equilibria of an arm under generalized forces, tendon tensions or prescribed tendon lengths."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from apcc_torch.errors import ConfigError
-from apcc_torch.model.dynamics import SoftArmDynamics
+from apcc_torch.model.arm_dynamics import ArmDynamics
 from apcc_torch.model.loads import Loads, Payload
 from apcc_torch.model.tendons import TendonRouting
 from apcc_torch.modes import full_precision, none_left
@@ -35,7 +35,7 @@ class Equilibrium(NamedTuple):
 
 
 class _Problem(NamedTuple):
-    dynamics: SoftArmDynamics
+    dynamics: ArmDynamics
     payload: Payload
     loads: Loads
     tau: Tensor
@@ -45,7 +45,7 @@ class _Problem(NamedTuple):
 
 
 def load_stiffness(
-    dynamics: SoftArmDynamics,
+    dynamics: ArmDynamics,
     q: Tensor,
     payload: Payload = None,
     loads: Loads = NO_LOADS,
@@ -74,7 +74,7 @@ def load_stiffness(
 
 @full_precision
 def equilibrium(
-    dynamics: SoftArmDynamics,
+    dynamics: ArmDynamics,
     tau: Tensor | None = None,
     *,
     routing: TendonRouting | None = None,
@@ -120,9 +120,9 @@ def equilibrium(
     given = tensions if tensions is not None else tendon_lengths
     if given is not None and routing is None:
         raise ConfigError("routing is needed with tensions or tendon_lengths")
-    n = 3 * dynamics.n_sections
+    n, n_b = dynamics.n, dynamics.n_sections
     parts = {"tau": tau, "q": q, "given": given}
-    shapes = {name: (value, 1) for name, value in parts.items() if value is not None} | loads.checked(n // 3)
+    shapes = {name: (value, 1) for name, value in parts.items() if value is not None} | loads.checked(n_b)
     if isinstance(payload, Tensor):
         shapes["payload"] = (payload, 0)
     batch = batch_shape(parameters=(dynamics.batch_marker, 0), **shapes)
@@ -132,7 +132,7 @@ def equilibrium(
     u = None
     if routing is not None and given is not None:
         check_tensor("tensions" if tensions is not None else "tendon_lengths", given, (routing.n_tendons,))
-        matrix = routing.matrix(dynamics.lengths)
+        matrix = dynamics.kinematics().tendon_matrix(routing, dynamics.lengths)
         u = torch.zeros(*batch, routing.n_tendons, dtype=zeros.dtype, device=zeros.device)
         if tensions is not None:
             u = u - tensions
@@ -189,7 +189,9 @@ def _newton(
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """Damped Newton: the elastic stiffness is added, times a factor of each row, while steps do not help."""
     stiffness = problem.dynamics.stiffness_diagonal
-    axial = stiffness[..., 2::3].mean(-1, keepdim=True)
+    # Of each section the bends come first, and the elongation last.
+    period = n // problem.dynamics.n_sections
+    axial = stiffness[..., period - 1 :: period].mean(-1, keepdim=True)
     constraints = unknown.shape[-1] - n
     # Force residuals are weighed by K^-1 and length residuals by a stiffness, so that both are energies.
     weight = torch.cat((1.0 / stiffness, axial.expand(*axial.shape[:-1], constraints)), dim=-1)
@@ -211,7 +213,7 @@ def _newton(
         step, _info = torch.linalg.solve_ex(system, -residual.unsqueeze(-1))
         step = step.squeeze(-1)
         # No section turns by more than half a radian in one step.
-        largest = step[..., :n].unflatten(-1, (-1, 3))[..., :2].abs().amax((-2, -1))
+        largest = step[..., :n].unflatten(-1, (-1, period))[..., :2].abs().amax((-2, -1))
         step = step * (0.5 / largest.clamp(min=0.5)).unsqueeze(-1)
         trial = unknown + torch.where(running.unsqueeze(-1), step, 0.0)
         trial_residual, trial_jacobian = _balance(problem, trial, n)

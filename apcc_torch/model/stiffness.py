@@ -2,19 +2,11 @@
 
 from __future__ import annotations
 
-import torch
 from torch import Tensor
 
 from apcc_torch.errors import ValueRangeError
 from apcc_torch.settings import Setting
 from apcc_torch.shapes import check_positive, check_tensor
-
-
-def section_diagonal(bending: Tensor, axial: Tensor) -> Tensor:
-    """(..., 3 n_b) the stiffness of every (dx, dy, dL) from that on bends and on elongations, each (..., n_b)."""
-    if bending.shape != axial.shape:
-        bending, axial = torch.broadcast_tensors(bending, axial)
-    return torch.stack((bending, bending, axial), dim=-1).flatten(-2)
 
 
 def scaled_stiffness(

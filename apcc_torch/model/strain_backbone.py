@@ -236,9 +236,9 @@ class StrainBackbone(KinematicModel):
         direction, which its length does not feel to first order: their rows are zero.
         """
         begin, end = routing.limits(pi_hat)
-        r = routing.offsets * torch.stack((torch.cos(routing.angles), torch.sin(routing.angles)))
-        zero = torch.zeros_like(r[0])
-        felt = torch.stack((r[1], -r[0], zero, zero, zero, torch.ones_like(zero)))  # (6, n_a)
+        x, y = routing.offsets * torch.cos(routing.angles), routing.offsets * torch.sin(routing.angles)
+        zero = torch.zeros_like(x)
+        felt = torch.stack((y, -x, zero, zero, zero, torch.ones_like(zero)), dim=-2).unsqueeze(-3)  # (..., 1, 6, n_a)
         rows = (end - begin).unsqueeze(-2) * (self.strain_start.to(felt).mT @ felt)
         if self.strain_slope is not None:
             rows = rows + 0.5 * (end * end - begin * begin).unsqueeze(-2) * (self.strain_slope.to(felt).mT @ felt)

@@ -51,6 +51,18 @@ class Twists(NamedTuple):
     chosen: Chosen | None
 
 
+class Drift(NamedTuple):
+    """How the rods' tip frames move along qdot and accelerate at qddot = 0; each (..., m, 3), world axes.
+
+    spin, spin_rate: Angular velocity and acceleration, rad/s and rad/s^2.
+    acceleration: Of the tips, m/s^2.
+    """
+
+    spin: Tensor
+    spin_rate: Tensor
+    acceleration: Tensor
+
+
 class StrainChain(NamedTuple):
     """Frames along a chain of rods; see `build_strain_chain`.
 
@@ -74,6 +86,11 @@ class StrainChain(NamedTuple):
     def tip(self) -> Tensor:
         """(..., 3) position of the last tip, m."""
         return self.ends[..., -1, :]
+
+    @property
+    def tangents(self) -> Tensor:
+        """(..., m, 3) z axes of the rods' tip frames."""
+        return torch.cat((self.before[..., 1:, :, 2], self.rotation[..., None, :, 2]), dim=-2)
 
     def at(self, points: int | slice) -> StrainChain:
         """Of chains (..., k) to several points, the one to a point, or those to some of them; a point is the tip."""
@@ -142,6 +159,21 @@ class StrainChain(NamedTuple):
         ends_rate = step_rate.cumsum(-3)
         arm_rate = ends_rate[..., -1:, :, :] - ends_rate
         return self._gathered(self._linear(spin_rate, reach_rate) + torch.linalg.cross(self.spin, arm_rate, dim=-2))
+
+    @full_precision
+    def drift(self, qdot: Tensor) -> Drift:
+        """How the rods' tip frames move along qdot (..., n), and their accelerations at qddot = 0."""
+        along = self._own_rates(qdot).unsqueeze(-1)
+        turning, stepping = ((self.before @ (rate @ along)).squeeze(-1) for rate in self._columns_rate(along))
+        own, step_rate = ((columns @ along).squeeze(-1) for columns in (self.spin, self.reach))
+        spin = own.cumsum(-2)
+        before = spin - own
+        turn = turning + torch.linalg.cross(before, own)
+        spin_rate = turn.cumsum(-2)
+        step = self.ends - torch.nn.functional.pad(self.ends[..., :-1, :], (0, 0, 1, 0))
+        swing = torch.linalg.cross(before, 2.0 * step_rate + torch.linalg.cross(before, step))
+        swing = swing + torch.linalg.cross(spin_rate - turn, step)
+        return Drift(spin, spin_rate, (stepping + swing).cumsum(-2))
 
     def _linear(self, spin: Tensor, reach: Tensor) -> Tensor:
         arm = (self.tip.unsqueeze(-2) - self.ends).unsqueeze(-1)

@@ -98,7 +98,8 @@ class TendonRouting(Part):
             pi_hat: (..., n_b) section lengths, m.
         """
         # The strain basis of a section is constant, so Eq. (46) is the traversed fraction of the full section's row.
-        return (self.fractions(pi_hat).unsqueeze(-2) * full_rows(self.angles, self.offsets)).flatten(-3, -2)
+        rows = full_rows(self.angles, self.offsets).unsqueeze(-3)
+        return (self.fractions(pi_hat).unsqueeze(-2) * rows).flatten(-3, -2)
 
     def lengths(self, q: Tensor, pi_hat: Tensor) -> Tensor:
         """Tendon length changes y = B^T q (..., n_a), m, Eq. (49) [Dalenberg].

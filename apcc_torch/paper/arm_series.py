@@ -20,6 +20,7 @@ from apcc_torch.files import write_atomically, write_json
 from apcc_torch.hardware.records import Outcome
 from apcc_torch.hardware.stops import StopReason
 from apcc_torch.paper import mapping_study, state_feedback_study
+from apcc_torch.paper.tendon_samples import sampled_runs
 from apcc_torch.report.style import Draw, save_figures
 from apcc_torch.settings import check_choice
 
@@ -41,7 +42,7 @@ def run(cfg: DictConfig, folder: Path) -> tuple[Outcome, dict[str, float]]:
     """
     settings = typed(cfg, RealtimeSettings)
     write_atomically(folder / realtime.CONFIG, text(settings))
-    if settings.series.runs:
+    if runs_of(settings):
         return series(cfg, settings, folder)
     if settings.experiment.kind == arm_calibration.KIND:
         return arm_calibration.run(settings, folder)
@@ -55,7 +56,13 @@ def planned(cfg: DictConfig) -> list[RealtimeSettings]:
         ConfigError, ValueRangeError: A setting has no meaning.
     """
     settings = typed(cfg, RealtimeSettings)
-    return [typed(_changed(cfg, changes), RealtimeSettings) for changes in settings.series.runs.values()] or [settings]
+    return [typed(_changed(cfg, changes), RealtimeSettings) for changes in runs_of(settings).values()] or [settings]
+
+
+def runs_of(settings: RealtimeSettings) -> Mapping[str, Sequence[str]]:
+    """A series' runs: name -> what differs in that run; none of a run that is no series."""
+    s = settings.series
+    return sampled_runs(settings.arm, s.sampled, settings.seed) if s.sampled else s.runs
 
 
 def series(cfg: DictConfig, settings: RealtimeSettings, folder: Path) -> tuple[Outcome, dict[str, float]]:
@@ -63,13 +70,14 @@ def series(cfg: DictConfig, settings: RealtimeSettings, folder: Path) -> tuple[O
     s = settings.series
     if s.study is not None:
         check_choice("series.study", s.study, tuple(STUDIES))
-    names = list(s.runs) if s.only is None else s.only
+    runs = runs_of(settings)
+    names = list(runs) if s.only is None else s.only
     for name in names:
-        check_choice("series.only", name, tuple(s.runs))
+        check_choice("series.only", name, tuple(runs))
     done: list[str] = []
     outcome: Outcome | None = None
     for name in names:
-        outcome, metrics = run(_changed(cfg, s.runs[name]), folder / name)
+        outcome, metrics = run(_changed(cfg, runs[name]), folder / name)
         if not metrics or outcome.reason not in RAN:
             return outcome, {}
         log.info("%s: %s: %s", name, outcome.reason.value, outcome.message)
@@ -92,5 +100,5 @@ def _changed(cfg: DictConfig, overrides: Sequence[str]) -> DictConfig:
     except OmegaConfBaseException as error:
         raise ConfigError(f"series.runs: {str(error).splitlines()[0]}") from error
     assert isinstance(changed, DictConfig)  # what merging settings gives
-    changed.series.runs = {}
+    changed.series.runs, changed.series.sampled = {}, 0
     return changed

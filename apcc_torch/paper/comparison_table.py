@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from math import isfinite
 
+from apcc_torch.paper.law_rows import law_rows
 from apcc_torch.paper.outcomes import HELD_OUT, SINGLE, Outcome, Outcomes
 from apcc_torch.paper.printed_numbers import LEFT_OUT, PUBLISHED, TITLES, Published, published
+from apcc_torch.paper.text_table import aligned
 
 Cell = dict[str, float | None]
 
@@ -33,7 +35,9 @@ LABELS: Mapping[str, str] = {
     "end_effector_error_end_max_mm": "tip error at the end, max (mm)",
     "settling_mean_s": "settling to 10 mm (s)",
     "settled_share": "settled at the end (share)",
-    "mapping_error_mean_mm": "mapping error, mean (mm)",
+    "mapping_error_mean_mm": "mapping error, Eq. (53), mean (mm)",
+    "mapping_error_end_mm": "mapping error at the end (mm)",
+    "tendon_force_rms_n": "tendon force, rms (N)",
     "diverged_rows": "diverged rows",
 }
 """Metric -> its name in the text, in the text's order."""
@@ -60,32 +64,47 @@ def gap_closed_percent(standard: float, adaptive: float, limit: float) -> float 
     return 100.0 * (standard - adaptive) / gap if isfinite(gap) and isfinite(adaptive) and gap > NOTHING else None
 
 
-def cell(standard: float, adaptive: float, limit: float | None = None, own_limit: float | None = None) -> Cell:
+def cell(
+    standard: float,
+    adaptive: float,
+    limit: float | None = None,
+    own_limit: float | None = None,
+    others: Mapping[str, float] | None = None,
+) -> Cell:
     """One entry of table.json.
 
     `limit` is the best that any rest lengths could reach on the motion under the standard controller, `own_limit` on
-    that under the adaptive one, see `paper_limits`; None for a metric that has none.
+    that under the adaptive one, see `paper_limits`; None for a metric that has none. `others` are the further rows of a
+    comparison of laws; without them there is no `best_constant` to tell.
     """
     return {
         "standard": standard if isfinite(standard) else None,
         "adaptive": adaptive if isfinite(adaptive) else None,
         "limit": limit,
         "own_limit": own_limit,
+        "best_constant": None,
+        **{name: value if isfinite(value) else None for name, value in (others or {}).items()},
         "change_percent": change_percent(standard, adaptive),
         "gap_closed_percent": None if limit is None else gap_closed_percent(standard, adaptive, limit),
     }
 
 
-def run_cells(both: Mapping[str, Outcome]) -> dict[str, Cell]:
+def run_cells(rows: Mapping[str, Outcome]) -> dict[str, Cell]:
     """Metric -> cell of one run; the time taken is no result."""
-    standard, adaptive = both["standard"].metrics, both["adaptive"].metrics
-    limit, own = both["standard"].limits.metrics(), both["adaptive"].limits.metrics()
-    names = [name for name in standard if name != "wall_s" and name in adaptive]
-    return {name: cell(standard[name], adaptive[name], limit.get(name), own.get(name)) for name in names}
+    standard, adaptive = rows["standard"].metrics, rows["adaptive"].metrics
+    limit, own = ({} if o.limits is None else o.limits.metrics() for o in (rows["standard"], rows["adaptive"]))
+    others = {name: o.metrics for name, o in rows.items() if name not in ("standard", "adaptive")}
+    return {
+        name: cell(
+            standard[name], adaptive[name], limit.get(name), own.get(name), {row: m[name] for row, m in others.items()}
+        )
+        for name in standard
+        if name != "wall_s" and name in adaptive
+    }
 
 
 def table(results: Mapping[str, Outcomes]) -> dict[str, dict[str, dict[str, Cell]]]:
-    """{comparison: {run: {metric: {standard, adaptive, limit, own_limit, change_percent, ...}}}}."""
+    """{comparison: {run: {metric: {standard, adaptive, limit, own_limit, best_constant, change_percent, ...}}}}."""
     return {
         comparison: {run: run_cells(both) for run, both in outcomes.items()} for comparison, outcomes in results.items()
     }
@@ -132,17 +151,46 @@ def percent(value: float | tuple[float, float] | None) -> str:
     return f"{value:+.1f}"
 
 
-def text(results: Mapping[str, Outcomes], about: Mapping[str, str] | None = None) -> str:
-    """The table as text: the paper's numbers beside ours, run by run, with notes below.
+def text(
+    results: Mapping[str, Outcomes],
+    about: Mapping[str, str] | None = None,
+    laws: Mapping[str, Mapping[str, str]] | None = None,
+) -> str:
+    """The tables as text: laws beside each other, and the paper's numbers beside ours, run by run, with notes below.
 
     Args:
-        results: Comparison -> run -> controller -> outcome.
+        results: Comparison -> run -> row -> outcome.
         about: Comparison -> what it compares, in words.
+        laws: Comparison of laws -> row -> what it is.
     """
+    laws, about = laws or {}, about or {}
+    told = [
+        f"Comparison {name}: {about.get(name, '')}\n\n{law_text(outcomes, laws[name])}"
+        for name, outcomes in results.items()
+        if name in laws
+    ]
+    pairs = {name: outcomes for name, outcomes in results.items() if name not in laws}
+    return "\n".join([*told, pair_text(pairs, about)] if pairs else told)
+
+
+def law_text(outcomes: Outcomes, about: Mapping[str, str]) -> str:
+    """Laws beside each other, a table a run."""
+    parts = []
+    for run, rows in outcomes.items():
+        if run.endswith(SINGLE):
+            continue
+        table = law_rows(run_cells(rows), about)
+        found = [f"  {name}: {o.found.told()}" for name, o in rows.items() if o.found is not None]
+        parts.append("\n".join([title(run, rows["standard"]), aligned(table), *found]))
+    return "\n\n".join(parts) + "\n"
+
+
+def pair_text(results: Mapping[str, Outcomes], about: Mapping[str, str]) -> str:
+    """Standard and adaptive controllers, the paper's numbers beside ours."""
     notes: list[str] = []
     lines: list[tuple[str, ...] | str] = []
     for comparison, outcomes in results.items():
-        meaning = (about or {}).get(comparison, "")
+        meaning = about.get(comparison, "")
         lines += ["", f"Comparison {comparison}{': ' + meaning if meaning else ''}"]
         for run, both in outcomes.items():
             lines += ["", title(run, both["standard"]), *_rows(run, run_cells(both), notes)]

@@ -13,6 +13,7 @@ from apcc_torch.report import dynamic as figures
 from apcc_torch.report import style
 from apcc_torch.report.animation import save_animation
 from apcc_torch.report.backbone_drawing import stroboscopic_figure
+from apcc_torch.report.laws import law_figure
 from apcc_torch.report.style import warned
 from apcc_torch.report.trade_off import TradeOff, trade_off_figure
 from apcc_torch.simulation.divergence import sentence
@@ -69,11 +70,31 @@ def trade_offs(outcomes: Outcomes) -> dict[str, TradeOff]:
     for run, both in outcomes.items():
         if run.endswith((HELD_OUT, SINGLE)):
             continue
-        fronts = {name: o.limits.trade_off() for name, o in both.items()}
         limits = both["standard"].limits
+        fronts = {name: o.limits.trade_off() for name, o in both.items() if o.limits is not None}
+        if limits is None:
+            continue
         reached = {name: (o.metrics["shape_error_mean_mm"], o.metrics["psi_mean_cm"]) for name, o in both.items()}
         shown[run.replace("_", " ")] = TradeOff(fronts, 1e3 * limits.mean(limits.shape), reached)
     return shown
+
+
+def save_law_figure(outcomes: Outcomes, about: Mapping[str, str], folder: Path) -> list[Path]:
+    """Writes laws.png: the laws of a comparison beside each other on the held-out set-points.
+
+    Args:
+        outcomes: Run -> row -> outcome.
+        about: Row -> what it is.
+        folder: Where to.
+    """
+    shown = {run: rows for run, rows in outcomes.items() if run.endswith(HELD_OUT)} or outcomes
+    reached = {
+        run.removesuffix(HELD_OUT).replace("_", " "): {
+            about[name]: (o.metrics["shape_error_mean_mm"], o.metrics["psi_mean_cm"]) for name, o in rows.items()
+        }
+        for run, rows in shown.items()
+    }
+    return style.save_figures({"laws.png": lambda: law_figure(reached, "held out, ")}, folder)
 
 
 def save_paper_figures(outcomes: Outcomes, folder: Path) -> list[Path]:

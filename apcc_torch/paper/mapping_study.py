@@ -11,18 +11,18 @@ from pathlib import Path
 from typing import NamedTuple
 
 import torch
-from torch import Tensor
 
 from apcc_torch.composition.build import Builder
 from apcc_torch.errors import ConfigError, DataError
 from apcc_torch.experiments.realtime_run import LOG, settings_of
 from apcc_torch.files import write_atomically, write_json
 from apcc_torch.hardware.log_reader import RobotLog, read_log
-from apcc_torch.model.kinematic_model import KinematicModel
 from apcc_torch.paper.measured_curve import measured_curve
+from apcc_torch.paper.text_table import aligned
 from apcc_torch.report.dynamic import RunCurves, mapping_error_figure, psi_figure, sensor_figure
 from apcc_torch.report.overlay import Overlay, error_figure, overlay_figure
 from apcc_torch.report.style import Draw
+from apcc_torch.simulation.metrics import mapping_error
 
 FIGURES = {
     "1": {"overlay": 27, "error": 28, "psi": 29, "mapping": 30},
@@ -38,18 +38,6 @@ class Run(NamedTuple):
     curves: RunCurves
     overlay: Overlay
     arrival: float
-
-
-def mapping_error(backbone: KinematicModel, q_d: Tensor, pi_hat: Tensor, tip: Tensor) -> Tensor:
-    """Eq. (53): distance of the measured tip from where the model would be at q_d, m.
-
-    Args:
-        backbone: The model's.
-        q_d: (..., 3 n_b) desired configuration.
-        pi_hat: (..., n_b) its rest lengths, m.
-        tip: (..., 3) measured, m.
-    """
-    return torch.linalg.vector_norm(backbone.tip(q_d, pi_hat) - tip, dim=-1)
 
 
 def curves(record: RobotLog) -> Run:
@@ -163,6 +151,4 @@ def text(table: dict[str, dict[str, float]]) -> str:
     """The table as text, a line a run."""
     keys = list(next(iter(table.values())))
     lines = [["run", *keys], *([name, *(f"{row[key]:.4g}" for key in keys)] for name, row in table.items())]
-    widths = [max(len(line[i]) for line in lines) for i in range(len(lines[0]))]
-    rows = ["  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)).rstrip() for line in lines]
-    return "\n".join(rows) + "\n"
+    return aligned(lines) + "\n"

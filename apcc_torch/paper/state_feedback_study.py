@@ -17,6 +17,7 @@ from apcc_torch.experiments.realtime_run import LOG, settings_of
 from apcc_torch.files import write_atomically, write_json
 from apcc_torch.hardware.log_reader import read_log
 from apcc_torch.paper.measured_curve import measured_curve
+from apcc_torch.paper.text_table import aligned
 from apcc_torch.report.state_feedback import Estimate, Estimates, final_figure, four_panel_figure, norm_figure
 from apcc_torch.report.style import Draw
 
@@ -144,6 +145,4 @@ def text(outcome: dict[str, Estimates]) -> str:
     for name, estimates in outcome.items():
         ends = [numbers(estimates[key]) for key in keys]
         lines.append([name, *(f"{n['linear_end_mm']:.2f} mm {n['angular_end_rad']:.4f} rad" for n in ends)])
-    widths = [max(len(line[i]) for line in lines) for i in range(len(lines[0]))]
-    rows = ["  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)).rstrip() for line in lines]
-    return "\n".join(rows) + "\n"
+    return aligned(lines) + "\n"

@@ -19,7 +19,6 @@ from apcc_torch.control.step_io import ControllerState, Measurement
 from apcc_torch.control.trajectory import Trajectory
 from apcc_torch.errors import ConfigError
 from apcc_torch.model.abscissae import decouple
-from apcc_torch.model.integrators import ArmState
 from apcc_torch.native.compiled import MODES, compiled
 from apcc_torch.part import Part, hold_rows, refuse_parameter, untrained
 from apcc_torch.settings import OURS, Settings, setting
@@ -148,20 +147,21 @@ class ClosedLoop(Part):
         if isinstance(controller, CompositeController):
             # What held the settled arm: its tendons at their zero lengths.
             zero = torch.zeros_like(arm.z)
-            u = self.plant.forces(arm.arm, arm.z, TendonReference(zero, zero))
+            u = self.plant.forces(arm, TendonReference(zero, zero))
         return LoopState(arm, state, self.sensors.initial_state(T), y, u)
 
     def blank(self) -> tuple[LoopState, Tensor, Tensor, Draws]:
         """Arguments of the form that one row has: what a compiler needs to see."""
         lengths = self.plant.dynamics.lengths
         zero = torch.zeros((), dtype=lengths.dtype, device=lengths.device)
-        q, y = (zero.expand(n).clone() for n in (self.plant.backbone.n, self.plant.B.shape[-1]))
+        arm = self.plant.straight(())
+        y = arm.z
         model, k = self.controller.backbone, torch.zeros((), dtype=torch.int64, device=lengths.device)
         state = self.controller.initial_state(zero.expand(model.n), zero.expand(model.n_sections) + 0.1, zero)
         T = torch.eye(4, dtype=zero.dtype, device=zero.device).expand(self.j.shape[-1], 4, 4)
         sensors = self.sensors.initial_state(T)
         u = y if isinstance(self.controller, CompositeController) else None
-        now = LoopState(PlantState(ArmState(q, q), y, k - 1), state, sensors, y, u)
+        now = LoopState(arm, state, sensors, y, u)
         return now, zero, k, self.sensors.draw(T[(None,) * self.sensors.shared])
 
     def forward(self, now: LoopState, time: Tensor, k: Tensor, draws: Draws) -> tuple[LoopState, tuple[Tensor, ...]]:
@@ -182,7 +182,7 @@ class ClosedLoop(Part):
         y = command.y
         assert y is not None  # the controller has a routing
         force = command.force
-        u = plant.forces(arm.arm, arm.z, ramp(now.y, y, 0.0, self.period, force))
+        u = plant.forces(arm, ramp(now.y, y, 0.0, self.period, force))
         x = plant.backbone.tip(arm.arm.q, plant.dynamics.lengths)
         feedback = command.feedback
         row = (
@@ -204,7 +204,7 @@ class ClosedLoop(Part):
             arm = plant.advance(arm, reference, self.period / plant.substeps, k)
         measured = None
         if now.u is not None:
-            measured = plant.forces(arm.arm, arm.z, ramp(now.y, y, 1.0, self.period, force))
+            measured = plant.forces(arm, ramp(now.y, y, 1.0, self.period, force))
         return LoopState(arm, state, sensors, y, measured), row
 
 

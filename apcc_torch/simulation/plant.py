@@ -11,24 +11,32 @@ from torch import Tensor
 from apcc_torch.control.pid import TendonPID, TendonPIDSettings, TendonReference
 from apcc_torch.errors import ConfigError
 from apcc_torch.model.arm import Arm, ArmChanges, with_changes
-from apcc_torch.model.backbone import PCCBackbone
-from apcc_torch.model.dynamics import SoftArmDynamics
+from apcc_torch.model.arm_dynamics import ArmDynamics
 from apcc_torch.model.equation_of_motion import EquationOfMotion
 from apcc_torch.model.friction import TendonTransmission, TendonTransmissionSettings
 from apcc_torch.model.integrators import Actuation, ArmState, guard, semi_implicit_step
 from apcc_torch.model.tendons import TendonRouting
 from apcc_torch.native.compiled import Step, compiled
 from apcc_torch.part import Part, hold_rows, refuse_parameter
-from apcc_torch.settings import MANY, OURS, PAPER, Setting, Settings, aligned, resolved, setting
+from apcc_torch.reading import keyed
+from apcc_torch.settings import MANY, OURS, PAPER, Setting, Settings, aligned, is_on, resolved, setting
+from apcc_torch.simulation.events import ArmEvents, ArmEventsSettings
 from apcc_torch.simulation.rollout import rollout
+from apcc_torch.simulation.true_places import PlaceErrors
 
 
 class PlantState(NamedTuple):
-    """The arm, the integral z (R, n_a) of its tendon loop, m s, and when each row diverged (R,), see `DynamicLog`."""
+    """The true arm.
+
+    z: (R, n_a) integral of its tendon loop, m s. diverged_at: (R,) int64, see `DynamicLog`. time: (R,) s since it had
+    settled. held: (R, n_a) to where the motors have drawn the tendons, m.
+    """
 
     arm: ArmState
     z: Tensor
     diverged_at: Tensor
+    time: Tensor
+    held: Tensor
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,6 +55,13 @@ class PlantSettings(Settings):
     transmission: TendonTransmissionSettings | None = setting(
         None, "", PAPER, "slack and dry friction between motors and arm; null: the arm feels the motors' forces"
     )
+    backlash: Setting = setting(
+        0.0, "m", OURS, "play between each motor and its tendon, as tendon length", rows="number", least=0
+    )
+    events: ArmEventsSettings = setting(factory=ArmEventsSettings, meaning="what happens to the true arm during a run")
+    places: PlaceErrors = setting(
+        factory=PlaceErrors, meaning="by how much sensors and tendons are off, beyond what `arm` says"
+    )
     arm: ArmChanges = setting(factory=ArmChanges, meaning="what differs on the true arm from what is believed of it")
     refine: int = setting(2, "", PAPER, "sections of the true arm in one of the model's", least=1, most=100)
     substeps: int = setting(2, "", OURS, "plant steps in one control period", least=1, most=MANY)
@@ -54,6 +69,13 @@ class PlantSettings(Settings):
     bound: float = setting(
         1e3, "rad, m, 1/s", OURS, "of a coordinate or its rate, beyond which a row has diverged", above=0, key=False
     )
+
+    def true_arm(self, arm: Arm) -> Arm:
+        """The plant's arm, of one that is believed to be `arm`."""
+        with keyed("arm"):
+            true = with_changes(arm, self.arm)
+        with keyed("places"):
+            return self.places.on(true)
 
 
 class Plant(Part):
@@ -82,6 +104,7 @@ class Plant(Part):
     actuation_stiffness: Tensor
     actuation_damping: Tensor
     tendon_damping: Setting
+    backlash: Setting
     refine: int
     substeps: int
     settle: float
@@ -89,7 +112,7 @@ class Plant(Part):
 
     def __init__(
         self,
-        dynamics: SoftArmDynamics,
+        dynamics: ArmDynamics,
         routing: TendonRouting,
         pid: TendonPID | None,
         payload: Tensor,
@@ -98,7 +121,7 @@ class Plant(Part):
         **changes: Any,
     ) -> None:
         super().__init__()
-        s = resolved(PlantSettings, settings, changes)
+        s = resolved(type(self).settings_type, settings, changes)
         if dynamics.base_rotation.dim() != 2:
             raise ConfigError("base_rotation of the plant must be one (3, 3) rotation, shared by all rows")
         self.dynamics = dynamics
@@ -107,9 +130,10 @@ class Plant(Part):
         if transmission is None and s.transmission is not None:
             transmission = TendonTransmission(routing, s.transmission)
         self.transmission = transmission
-        self.backbone = PCCBackbone(dynamics.n_sections, dynamics.base_rotation)
+        self.events = ArmEvents(dynamics.n_sections, s.events)
+        self.backbone = dynamics.kinematics()
         self.hold(s)
-        B = routing.matrix(dynamics.lengths)
+        B = self.backbone.tendon_matrix(routing, dynamics.lengths)
         made_of = {"dynamics.lengths": dynamics.lengths, "tendon_damping": s.tendon_damping}
         for name, value in (*routing.named_parameters("routing"), *self.pid.named_parameters("pid"), *made_of.items()):
             refuse_parameter(name, value, "B and K_P B B^T of a plant are made of it once; hand in a plain tensor")
@@ -127,8 +151,13 @@ class Plant(Part):
             payload: (..., R) kg.
             settings: Of `settings_type`.
         """
-        true = with_changes(arm, settings.arm)
-        return cls(true.dynamics(settings.refine), true.routing(), None, payload, settings)
+        true = settings.true_arm(arm)
+        return cls(cls.dynamics_of(true, settings), true.routing(), None, payload, settings)
+
+    @staticmethod
+    def dynamics_of(arm: Arm, settings: Any) -> ArmDynamics:
+        """The dynamics of a true arm, with its plant's own settings."""
+        return arm.dynamics(settings.refine)
 
     def limp(self) -> Self:
         """The same arm without torque on its motors: its tendons are dragged along."""
@@ -139,7 +168,7 @@ class Plant(Part):
 
     def tensions(self, now: PlantState, reference: TendonReference) -> Tensor:
         """What the motors feel (..., n_a), N; a tendon that may be slack does not push."""
-        u = self.forces(now.arm, now.z, reference)
+        u = self.forces(now, reference)
         return torch.relu(-u) if self.transmission is not None and self.transmission.slack else -u
 
     def stepper(self, dt: float, compile: str) -> Step:
@@ -155,58 +184,87 @@ class Plant(Part):
         """B u: the generalized force (..., n) of forces (..., n_a)."""
         return (self.B @ u.unsqueeze(-1)).squeeze(-1)
 
-    def forces(self, state: ArmState, z: Tensor, reference: TendonReference) -> Tensor:
-        """Forces u (..., n_a) of the tendon loop, N."""
-        return self.pid(
-            z, self.lengths(state.q), self.lengths(state.qdot), reference.y_d, reference.ydot_d, reference.force
-        )
+    def forces(self, now: PlantState, reference: TendonReference) -> Tensor:
+        """Forces u (..., n_a) of the tendon loop, N, with the motors at a reference."""
+        return self._forces(now.arm, now.z, self._transmitted(now, reference))
 
-    def step(self, state: ArmState, z: Tensor, reference: TendonReference, dt: float) -> tuple[ArmState, Tensor]:
+    def _forces(self, state: ArmState, z: Tensor, reference: TendonReference) -> Tensor:
+        y, ydot = self.lengths(state.q), self.lengths(state.qdot)
+        return self.pid(z, y, ydot, reference.y_d, reference.ydot_d, reference.force)
+
+    def _transmitted(self, now: PlantState, reference: TendonReference) -> TendonReference:
+        """What the tendons get of the motors' reference: the play operator [Krasnosel'skii and Pokrovskii, 1989].
+
+        A tendon stays where it was drawn until its motor has crossed the play, and is taken along from then on.
+        """
+        if not is_on(self.backlash):
+            return reference
+        half = 0.5 * aligned(self.backlash, 1)
+        low, high = reference.y_d - half, reference.y_d + half
+        held = torch.maximum(torch.minimum(now.held, high), low)
+        rate = torch.where((held == low) | (held == high), reference.ydot_d, 0.0)
+        return reference._replace(y_d=held, ydot_d=rate)
+
+    def step(self, now: PlantState, reference: TendonReference, dt: float) -> PlantState:
         """One plant step of order 2: linearly implicit Euler over dt and twice over dt/2, extrapolated.
 
         Tendon damping makes the plant stiff, with an M(q) that changes on the way. Every Euler step takes M where it
         starts and is stable; a Rosenbrock method, which keeps one M for both its stages, is not at the same dt.
 
         Args:
-            state: The arm.
-            z: (R, n_a) integral of the tendon loop, m s.
-            reference: At the step's end; the step's references lie on the straight line that leads there.
+            now: The true arm.
+            reference: Of the motors at the step's end; the step's references lie on the straight line that leads there.
             dt: Step, s.
 
         Returns:
-            The arm and the integral after the step.
+            The true arm after the step; whether it diverged is not looked at.
         """
-        half = 0.5 * dt
+        half, state, time = 0.5 * dt, now.arm, now.time
+        reference = self._transmitted(now, reference)
         midway = reference._replace(y_d=reference.y_d - half * reference.ydot_d)
-        equation = self.dynamics.equation(state.q, state.qdot, self.payload)
-        whole, z_whole = self._euler(state, z, reference, dt, equation)
-        middle, z_middle = self._euler(state, z, midway, half, equation)
-        halves, z_halves = self._euler(middle, z_middle, reference, half, None)
+        payload = self.events.payload(self.payload, time)
+        equation = self.dynamics.equation(state.q, state.qdot, payload)
+        whole, z_whole = self._euler(state, now.z, reference, dt, payload, time + dt, equation)
+        middle, z_middle = self._euler(state, now.z, midway, half, payload, time + half, equation)
+        halves, z_halves = self._euler(middle, z_middle, reference, half, payload, time + dt, None)
         later = ArmState(2.0 * halves.q - whole.q, 2.0 * halves.qdot - whole.qdot)
-        return later, 2.0 * z_halves - z_whole
+        return PlantState(later, 2.0 * z_halves - z_whole, now.diverged_at, time + dt, reference.y_d)
 
     def _euler(
-        self, state: ArmState, z: Tensor, reference: TendonReference, dt: float, equation: EquationOfMotion | None
+        self,
+        state: ArmState,
+        z: Tensor,
+        reference: TendonReference,
+        dt: float,
+        payload: Tensor,
+        time: Tensor,
+        equation: EquationOfMotion | None,
     ) -> tuple[ArmState, Tensor]:
-        """One linearly implicit Euler step under the reference of its end."""
-        u, drag = self.forces(state, z, reference), aligned(self.tendon_damping, 1) * self.lengths(state.qdot)
+        """One linearly implicit Euler step under the reference of its end, at `time`."""
+        u, drag = self._forces(state, z, reference), aligned(self.tendon_damping, 1) * self.lengths(state.qdot)
         if self.transmission is None:
             tau = self._pull(u - drag)
         else:
-            tau = self.transmission(u, state.q, state.qdot, self.dynamics.lengths) - self._pull(drag)
+            tau = self.transmission(u, state.q, state.qdot, self.dynamics.lengths, self.B) - self._pull(drag)
+        if self.events.grows:
+            # K (q - natural): lengths are those at first, so what has grown since is an elongation without force.
+            natural = self.events.growth_at(time) * self.dynamics.lengths
+            tau = tau + self.dynamics.stiffness_diagonal * self.backbone.coordinates.on_elongations(natural)
         actuation = Actuation(tau, self.actuation_stiffness, self.actuation_damping)
-        later = semi_implicit_step(self.dynamics, state, actuation, dt, self.payload, equation=equation)
+        later = semi_implicit_step(self.dynamics, state, actuation, dt, payload, equation=equation)
         return later, self.pid.integrate(z, self.lengths(later.q), reference.y_d, dt)
 
     def advance(self, now: PlantState, reference: TendonReference, dt: float, k: int | Tensor) -> PlantState:
         """`step` for the rows that are good; a row that leaves its bounds in control step k stays where it was."""
-        moved, z = self.step(now.arm, now.z, reference, dt)
-        kept, diverged_at = guard(torch.cat(now.arm, dim=-1), torch.cat(moved, dim=-1), now.diverged_at, k, self.bound)
-        z = torch.where((diverged_at < 0).unsqueeze(-1), z, now.z)
-        return PlantState(ArmState(*kept.split(self.backbone.n, dim=-1)), z, diverged_at)
+        later = self.step(now, reference, dt)
+        before, after = (torch.cat(each.arm, dim=-1) for each in (now, later))
+        kept, diverged_at = guard(before, after, now.diverged_at, k, self.bound)
+        good = (diverged_at < 0).unsqueeze(-1)
+        z, held = torch.where(good, later.z, now.z), torch.where(good, later.held, now.held)
+        return PlantState(ArmState(*kept.split(self.backbone.n, dim=-1)), z, diverged_at, later.time, held)
 
     def settled(self, duration: float, dt: float, compile: str = "off", checkpointed: bool = False) -> PlantState:
-        """The arm at rest under gravity with its tendons held at their zero lengths.
+        """The arm at rest under gravity with its tendons held at their zero lengths, its clock at zero.
 
         Args:
             duration: How long it may take, s.
@@ -221,16 +279,21 @@ class Plant(Part):
         one = PlantStep(self, dt)
         step = compiled(one, one.blank(), compile, self.payload.numel(), carries=True)
         held = TendonReference(straight.z, straight.z)
+        # Nothing happens to the arm before its clock starts.
+        start = straight._replace(time=straight.time - steps * dt)
         if checkpointed:
-            return rollout(lambda now: (step(now, held), ()), straight, lambda k: (), steps, checkpointed)[0]
-        return step(straight, held, repeats=steps)
+            rest = rollout(lambda now: (step(now, held), ()), start, lambda k: (), steps, checkpointed)[0]
+        else:
+            rest = step(start, held, repeats=steps)
+        return rest._replace(time=straight.time)
 
     def straight(self, batch: tuple[int, ...]) -> PlantState:
         """Straight arms without motion, tendons at their zero lengths."""
         lengths = self.dynamics.lengths
         q = torch.zeros(*batch, self.backbone.n, dtype=lengths.dtype, device=lengths.device)
         z = torch.zeros(*batch, self.B.shape[-1], dtype=lengths.dtype, device=lengths.device)
-        return PlantState(ArmState(q, q), z, torch.full(batch, -1, dtype=torch.int64, device=lengths.device))
+        good = torch.full(batch, -1, dtype=torch.int64, device=lengths.device)
+        return PlantState(ArmState(q, q), z, good, q.new_zeros(batch), z)
 
 
 class PlantStep(Part):

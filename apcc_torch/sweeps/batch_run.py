@@ -134,7 +134,8 @@ def point_mib(config: SimulateSettings) -> tuple[int, float]:
         rows = 1 + e.start_errors
     else:
         rows = len(e.setpoints or [None]) * len(e.payloads)
-        numbers += model.n + 3 * config.arm.n_sections * config.plant.refine + 3 * config.arm.n_tendons
+        # A true arm has at most six coordinates in each of its parts.
+        numbers += model.n + 6 * config.arm.n_sections * config.plant.refine + 3 * config.arm.n_tendons
     steps = round(e.duration * config.controller.rate) + 1
     window = config.velocity_filter.window
     filtered = 4 * int(torch.as_tensor(window).max()) * model.n // 3

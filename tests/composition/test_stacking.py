@@ -123,6 +123,9 @@ def test_a_gain_that_is_a_list_is_scaled_run_by_run() -> None:
         ("arm.damping_ratio=0.1", "arm.damping_ratio=0.2"),
         ("plant.arm.lengths=[0.1,0.25,0.24]", "plant.arm.lengths=[0.1,0.26,0.24]"),
         ("plant.arm.true_sensors=[0.1,0.25,0.54]", "plant.arm.true_sensors=[0.1,0.26,0.54]"),
+        ("plant.places.tendons=0.001", "plant.places.tendons=0.002"),
+        ("plant.events.growth=0.1", "plant.events.growth=[0,0.1,0.2]"),
+        ("arm.tendon_offset=0.02", "arm.tendon_offset=0.03"),
     ],
 )
 def test_arms_that_differ_are_built_side_by_side(one: str, other: str) -> None:

@@ -7,9 +7,9 @@ import torch
 from apcc_torch.control.pid import TendonReference
 from apcc_torch.envs.dynamic import DynamicArm
 from apcc_torch.envs.randomisation import RowParameters
+from apcc_torch.envs.row_trees import map_rows
 from apcc_torch.model.arm import Arm
 from apcc_torch.model.dynamics import SoftArmDynamics
-from apcc_torch.model.integrators import ArmState
 from apcc_torch.simulation.plant import Plant
 from arm_rows import row_parameters
 from laws import generator, uniform
@@ -53,11 +53,11 @@ def test_rows_are_the_plants_they_would_be_alone() -> None:
     later = arm.step(state, torch.zeros_like(y), y, y, rows)
     for i in range(3):
         plant = alone(rows, i)
-        own, z = ArmState(state.arm.q[i], state.arm.qdot[i]), state.z[i]
+        own = map_rows(lambda rows, i=i: rows[i], state)
         for k in (1, 2):
-            own, z = plant.step(own, z, TendonReference(k * y[i] / 2, y[i] / 0.01), 0.005)
-        torch.testing.assert_close(later.arm.q[i], own.q, rtol=1e-9, atol=1e-12)
-        torch.testing.assert_close(later.z[i], z, rtol=1e-9, atol=1e-12)
+            own = plant.step(own, TendonReference(k * y[i] / 2, y[i] / 0.01), 0.005)
+        torch.testing.assert_close(later.arm.q[i], own.arm.q, rtol=1e-9, atol=1e-12)
+        torch.testing.assert_close(later.z[i], own.z, rtol=1e-9, atol=1e-12)
 
 
 def test_starts_at_rest() -> None:
@@ -66,9 +66,9 @@ def test_starts_at_rest() -> None:
     zero = torch.zeros(9, dtype=torch.float64)
     for i in range(4):
         plant = alone(rows, i)
-        own = ArmState(state.arm.q[i], state.arm.qdot[i])
-        tau = plant.B @ plant.forces(own, zero, TendonReference(zero, zero))
-        qddot = plant.dynamics(own.q, own.qdot, tau, plant.payload)
+        own = map_rows(lambda rows, i=i: rows[i], state)
+        tau = plant.B @ plant.forces(own, TendonReference(zero, zero))
+        qddot = plant.dynamics(*own.arm, tau, plant.payload)
         assert float(qddot.abs().max()) < 1e-9
 
 

@@ -12,6 +12,8 @@ from apcc_torch.estimation.loaded_shape import LoadedShape, LoadedShapeSettings,
 from apcc_torch.model.statics import Equilibrium, equilibrium
 
 D = torch.float64
+# Measurements so firm that the priors have no say.
+FIRM = LoadedShapeSettings(position_noise=1e-5, angular_noise=1e-4, tendon_noise=1e-5, load=50.0, load_rate=50.0)
 ARMS = {
     "three sections": Arm(lengths=[0.105, 0.255, 0.24]),
     "reversed": Arm(lengths=[0.24, 0.255, 0.105]),
@@ -53,8 +55,7 @@ def test_it_is_the_equilibrium_under_the_load(name: str, oriented: bool) -> None
     arm, payload = ARMS[name], torch.tensor([0.0, 0.3], dtype=D)
     q = at_rest(arm, payload).q
     T, y = measured(arm, q)
-    # Weights so firm that the priors have no say.
-    shape = LoadedShape.on(arm, LoadedShapeSettings(position_noise=1e-5, angular_noise=1e-4, tendon_noise=1e-5, load=50.0, load_rate=50.0))
+    shape = LoadedShape.on(arm, FIRM)
     state = estimated(shape, T, y, oriented)
     assert (shape.configuration(state) - q).abs().max() < 2e-4
     assert (state.load - payload).abs().max() < 2e-3
@@ -64,7 +65,7 @@ def test_sensors_alone_find_it_where_there_are_as_many_as_sections() -> None:
     arm, payload = ARMS["three sections"], torch.tensor([0.0, 0.2, 0.5], dtype=D)
     q = at_rest(arm, payload).q
     T, _ = measured(arm, q)
-    shape = LoadedShape.on(arm, LoadedShapeSettings(position_noise=1e-5, angular_noise=1e-4, load=50.0, load_rate=50.0))
+    shape = LoadedShape.on(arm, FIRM)
     state = estimated(shape, T, None)
     assert (shape.configuration(state) - q).abs().max() < 2e-4
     assert (state.load - payload).abs().max() < 2e-3
@@ -88,7 +89,7 @@ def test_an_unknown_tendon_is_left_out_and_a_row_without_a_finite_step_stays() -
     q = at_rest(arm, torch.tensor([0.2, 0.2], dtype=D)).q
     T, y = measured(arm, q)
     y[0, 2] = torch.nan
-    shape = LoadedShape.on(arm, LoadedShapeSettings(position_noise=1e-5, angular_noise=1e-4, tendon_noise=1e-5, load=50.0, load_rate=50.0))
+    shape = LoadedShape.on(arm, FIRM)
     state = estimated(shape, T, y)
     assert (shape.configuration(state)[0] - q[0]).abs().max() < 2e-4
     usable = torch.ones(2, 3, dtype=torch.bool)

@@ -15,9 +15,11 @@ from apcc_torch.errors import ConfigError
 from apcc_torch.experiments import realtime_run as realtime
 from apcc_torch.hardware.log_reader import read_log
 from apcc_torch.hardware.stops import StopReason
+from apcc_torch.model.arm import Arm
 from apcc_torch.paper import arm_series as arm_run
 from apcc_torch.paper import mapping_study
 from apcc_torch.paper.state_feedback_study import estimate, motion
+from apcc_torch.paper.tendon_samples import EPSILON, sampled_runs
 from composed import composed_realtime, raw_realtime
 
 QUICK = (
@@ -51,6 +53,27 @@ def test_experiment_1_has_table_i_of_the_paper() -> None:
         assert np.allclose(run.arm.rest_lengths(), values["arm.lengths"])
         assert np.allclose(np.cumsum(values["arm.lengths"]), run.arm.sensor_places())
     assert "ramp.goal=[-0.026, -0.013, -0.002, -0.047, -0.046, -0.008, -0.028, -0.023, -0.074]" in runs["run_4"]
+
+
+def test_experiment_1_draws_as_the_paper_does() -> None:
+    runs = sampled_runs(Arm(lengths=[0.105, 0.245, 0.245]), 200, seed=3)
+    assert runs["run_1"] == sampled_runs(Arm(lengths=[0.105, 0.245, 0.245]), 1, seed=3)["run_1"]
+    values = [dict(entry.split("=") for entry in overrides) for overrides in runs.values()]
+    goal, estimate = (np.array([json.loads(v[k]) for v in values]) for k in ("ramp.goal", "ramp.estimate"))
+    # The bounds are kept, and reached: within 3 % of 200 draws each.
+    lower, off = np.array([-0.035] * 3 + [-0.075] * 6), estimate - [0.105, 0.245, 0.245]
+    assert (goal >= lower).all() and (goal <= 0).all() and (goal.min(0) < 0.97 * lower).all()
+    assert np.abs(off).max() <= 0.03 and (off.max(0) > 0.029).all() and (off.min(0) < -0.029).all()
+    assert np.allclose(goal.mean(0), 0.5 * lower, rtol=0.1)
+    planned = arm_run.planned(raw_realtime("experiment=experiment_1", "series.sampled=2", "seed=3"))
+    assert [list(run.ramp.goal or ()) for run in planned] == goal[:2].tolist()
+
+
+def test_the_table_of_the_paper_fits_what_is_drawn() -> None:
+    runs = composed_realtime("experiment=experiment_1").series.runs
+    values = [dict(entry.split("=") for entry in overrides) for overrides in runs.values()]
+    pi, estimate = (np.array([json.loads(v[k]) for v in values]) for k in ("arm.lengths", "ramp.estimate"))
+    assert 0.02 < np.abs(estimate - pi).max() <= EPSILON
 
 
 def test_the_tendons_go_where_they_are_told(first: Path) -> None:

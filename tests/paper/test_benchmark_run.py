@@ -12,24 +12,26 @@ from hydra import compose, initialize_config_dir
 from hypothesis import given
 from hypothesis import strategies as st
 
-from apcc_torch.benchmark import compose_pairs, experiment
+from apcc_torch.benchmark import compose_grids, experiment
 from apcc_torch.composition.benchmark import BenchmarkSettings, GridSettings
 from apcc_torch.composition.build import Builder
 from apcc_torch.composition.run_settings import SimulateSettings
 from apcc_torch.composition.schema import typed
 from apcc_torch.conf_path import conf_path
+from apcc_torch.control.adaptation import AdaptiveLawSettings
 from apcc_torch.errors import ConfigError
 from apcc_torch.experiments.dynamic import simulate
-from apcc_torch.paper.benchmark_run import Pair, check_pair, on_grid, run, simulate_all
+from apcc_torch.paper.benchmark_run import Grids, check_laws, check_rows, on_grid, run, simulate_all
 from apcc_torch.paper.comparison_table import LABELS, change_percent, flat_metrics, percent, table, text
 from apcc_torch.paper.figures import NUMBERED
-from apcc_torch.paper.outcomes import Outcomes, held_out_rows, single_row
+from apcc_torch.paper.outcomes import Outcomes, Row, held_out_rows, single_row
 from apcc_torch.paper.printed_numbers import PUBLISHED, TITLES
 
 QUICK = '["controller.rate=20","plant.settle=0.1","plant.substeps=2"]'
 OVERRIDES = [
     "grid=small",
     "~grid.comparisons.B",
+    "~grid.comparisons.C",
     "grid.duration=0.25",
     "figures=false",
     "progress=false",
@@ -44,13 +46,13 @@ def config() -> BenchmarkSettings:
 
 
 @pytest.fixture(scope="module")
-def pairs(config: BenchmarkSettings) -> dict[str, dict[str, Pair]]:
-    return {name: dict(runs) for name, runs in compose_pairs(config).items()}
+def grids(config: BenchmarkSettings) -> Grids:
+    return compose_grids(config)
 
 
 @pytest.fixture(scope="module")
-def results(pairs: dict[str, dict[str, Pair]], tmp_path_factory: pytest.TempPathFactory) -> dict[str, Outcomes]:
-    return simulate_all(pairs, tmp_path_factory.mktemp("benchmark"), progress=False)
+def results(grids: Grids, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Outcomes]:
+    return simulate_all(grids, tmp_path_factory.mktemp("benchmark"), progress=False)
 
 
 @pytest.fixture(scope="module")
@@ -133,10 +135,10 @@ def test_grid_paper_is_the_experiments_as_they_are(whole: SimulateSettings) -> N
     assert on_grid(whole, GridSettings(name="paper"), False).controller.adaptive is False
 
 
-def test_grid_small_cuts(pairs: dict[str, dict[str, Pair]]) -> None:
-    assert list(pairs["A"]) == ["run_1", "run_2", "robot_2"] == list(TITLES)
-    for both in pairs["A"].values():
-        for name, c in both._asdict().items():
+def test_grid_small_cuts(grids: Grids) -> None:
+    assert list(grids["A"]) == ["run_1", "run_2", "robot_2"] == list(TITLES)
+    for both in grids["A"].values():
+        for name, (c, _) in both.items():
             assert c.experiment.setpoints is not None and len(c.experiment.setpoints) == 2
             assert c.experiment.payloads == (0.0, 0.5)
             assert c.controller.adaptive is (name == "adaptive")
@@ -161,16 +163,43 @@ def test_experiments_without_setpoints_are_refused(whole: SimulateSettings) -> N
 
 
 def test_controllers_must_have_the_same_task(whole: SimulateSettings) -> None:
-    check_pair("run_2", Pair(whole, whole))
+    def pair(adaptive: SimulateSettings) -> dict[str, Row]:
+        return {"standard": Row(whole), "adaptive": Row(adaptive)}
+
+    check_rows("run_2", pair(whole))
     longer = replace(whole, experiment=replace(whole.experiment, duration=11.0))
     with pytest.raises(ConfigError, match=r"both controllers of run_2 must have the same experiment\.duration"):
-        check_pair("run_2", Pair(whole, longer))
+        check_rows("run_2", pair(longer))
     heavier = replace(whole, plant=whole.plant.changed(tendon_damping=2.0))
     with pytest.raises(ConfigError, match="same plant"):
-        check_pair("run_2", Pair(whole, heavier))
+        check_rows("run_2", pair(heavier))
     longer_arm = replace(whole, arm=whole.arm.changed(mass=2.0))
     with pytest.raises(ConfigError, match="same arm"):
-        check_pair("run_2", Pair(whole, longer_arm))
+        check_rows("run_2", pair(longer_arm))
+
+
+def test_laws_may_differ_in_nothing_else(whole: SimulateSettings) -> None:
+    other = whole.changed(adaptation=None, controller=whole.controller.changed(adaptive=False))
+    check_laws("run_2", {"standard": Row(whole), "adaptive": Row(other)})
+    wider = whole.changed(bounds=whole.bounds.changed(lower=0.1))
+    with pytest.raises(ConfigError, match=r"only the law may differ between the rows of run_2.* has another bounds"):
+        check_laws("run_2", {"standard": Row(whole), "adaptive": Row(wider)})
+
+
+def test_comparison_c_differs_in_its_laws_alone() -> None:
+    words = ["grid=small", "~grid.comparisons.A", "~grid.comparisons.B"]
+    with initialize_config_dir(conf_path(), version_base="1.3"):
+        runs = compose_grids(typed(compose("benchmark", words), BenchmarkSettings))["C"]  # which checks it
+    assert list(runs) == list(TITLES)
+    for rows in runs.values():
+        assert list(rows) == [
+            "standard", "eq15_printed", "eq15_printed_tuned", "eq15_total", "best_constant", "adaptive"
+        ]  # fmt: skip
+        assert [name for name, row in rows.items() if not row.config.controller.adaptive] == [
+            "standard", "best_constant"
+        ]  # fmt: skip
+    laws = [rows["eq15_printed"].config.adaptation for rows in runs.values()]
+    assert [law.gamma for law in laws if isinstance(law, AdaptiveLawSettings)] == [40.5, 24.5, 18.5], "the paper's"
 
 
 def test_empty_benchmark_is_refused(config: BenchmarkSettings, tmp_path: Path) -> None:
@@ -196,10 +225,8 @@ def test_parts_make_the_whole(results: dict[str, Outcomes]) -> None:
         assert everything.metrics["psi_max_cm"] == largest
 
 
-def test_single_row_of_the_grid_is_the_run_alone(
-    pairs: dict[str, dict[str, Pair]], results: dict[str, Outcomes]
-) -> None:
-    c = pairs["A"]["run_2"].adaptive
+def test_single_row_of_the_grid_is_the_run_alone(grids: Grids, results: dict[str, Outcomes]) -> None:
+    c = grids["A"]["run_2"]["adaptive"].config
     assert c.experiment.setpoints is not None
     alone = replace(c, experiment=replace(c.experiment, setpoints=c.experiment.setpoints[:1], payloads=(0.5,)))
     log, _ = simulate(replace(alone, progress=False), True, "alone")
@@ -221,7 +248,7 @@ def test_table_has_the_documented_form(results: dict[str, Outcomes]) -> None:
         assert "wall_s" not in runs and "shape_error_mean_mm" in runs
         for name, entry in runs.items():
             assert list(entry) == [
-                "standard", "adaptive", "limit", "own_limit", "change_percent", "gap_closed_percent"
+                "standard", "adaptive", "limit", "own_limit", "best_constant", "change_percent", "gap_closed_percent"
             ]  # fmt: skip
             if "shape_error_m" in name or name.startswith("sensor"):
                 # The limit is taken at fewer instants than the mean, so it may lie above it by a little.

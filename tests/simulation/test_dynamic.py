@@ -129,9 +129,9 @@ def test_loop_agrees_with_radau() -> None:
     assert log.diverged_at.tolist() == [-1]
     assert float((log.x[-1] - log.x[0]).norm()) > 0.03, "the arm must move for this to say something"
     with torch.inference_mode():
-        start, z, _ = arm.settled(arm.settle, period / arm.substeps)
-        torch.testing.assert_close(log.q_true[0], start.q, rtol=0, atol=0)
-        want = tips_by_radau(arm, log.y_d[:, 0], start, z, period)
+        start = arm.settled(arm.settle, period / arm.substeps)
+        torch.testing.assert_close(log.q_true[0], start.arm.q, rtol=0, atol=0)
+        want = tips_by_radau(arm, log.y_d[:, 0], start.arm, start.z, period)
     assert float((log.x[-1, 0] - want[-1]).norm()) < 1e-4
     assert float((log.x[:, 0] - want).norm(dim=-1).max()) < 2e-4
 
@@ -143,11 +143,10 @@ def test_plant_step_is_of_order_two_along_a_ramp() -> None:
     previous, y = 0.01 * torch.sin(torch.arange(18, dtype=D)).view(2, 1, 9)
     period, ends = 0.1, []
     for steps in (16, 32, 64, 320):
-        state = ArmState(torch.zeros(1, 6, dtype=D), torch.zeros(1, 6, dtype=D))
-        z = torch.zeros(1, 9, dtype=D)
+        now = arm.straight((1,))
         for i in range(steps):
-            state, z = arm.step(state, z, ramp(previous, y, (i + 1) / steps, period), period / steps)
-        ends.append(torch.cat((*state, z), dim=-1))
+            now = arm.step(now, ramp(previous, y, (i + 1) / steps, period), period / steps)
+        ends.append(torch.cat((*now.arm, now.z), dim=-1))
     errors = [float((end - ends[-1]).norm()) for end in ends[:-1]]
     integrals = [float((end - ends[-1])[:, 12:].norm()) for end in ends[:-1]]
     for coarse, fine in (*pairwise(errors), *pairwise(integrals)):
@@ -159,10 +158,11 @@ def test_settled_arm_is_at_rest_where_statics_says() -> None:
     pid = TendonPID(750.0, 0.0, 5.0)
     arm = plant(torch.tensor([0.0, 0.5], dtype=D), torch.tensor([0.36, 0.24], dtype=D), pid, tendon_damping=5.0)
     with torch.inference_mode():
-        state, z, diverged_at = arm.settled(4.0, 0.02)
-        assert diverged_at.tolist() == [-1, -1]
+        now = arm.settled(4.0, 0.02)
+        state = now.arm
+        assert now.diverged_at.tolist() == [-1, -1]
         zero = torch.zeros(2, 9, dtype=D)
-        u = arm.forces(state, z, ramp(zero, zero, 1.0, 0.01))
+        u = arm.forces(now, ramp(zero, zero, 1.0, 0.01))
         tau = (arm.B @ u.unsqueeze(-1)).squeeze(-1)
         unbalanced = tau - arm.dynamics.stiffness_diagonal * state.q - arm.dynamics.gravity(state.q, arm.payload)
     assert float(state.qdot.abs().max()) < 1e-8
@@ -285,14 +285,12 @@ def test_transmission_is_felt_by_the_arm() -> None:
 
     def moved(transmission: TendonTransmission | None, y: float) -> Tensor:
         arm = Plant(dynamics(), routing(), TendonPID(), payload, 50.0, transmission=transmission)
-        zero = torch.zeros(1, 18, dtype=D)
-        z = torch.zeros(1, 9, dtype=D)
         y_d = torch.zeros(1, 9, dtype=D)
         y_d[0, 0] = y
-        state = ArmState(zero, zero)
+        now = arm.straight((1,))
         for _ in range(20):
-            state, z = arm.step(state, z, ramp(y_d, y_d, 1.0, 0.01), 0.005)
-        return state.q
+            now = arm.step(now, ramp(y_d, y_d, 1.0, 0.01), 0.005)
+        return now.arm.q
 
     ideal = TendonTransmission(routing(), friction=0.0, slack=False)
     torch.testing.assert_close(moved(ideal, -0.02), moved(None, -0.02), rtol=1e-12, atol=1e-15)

@@ -110,6 +110,11 @@ def base(*changes: str) -> SimulateSettings:
                 "bounds__lower": ("0.5", "[along,0.6,0.7]"),
             },
         ),
+        (
+            "dynamic_run_2",
+            (*DYNAMIC, "plant=rod", "plant.refine=1", "plant.settle=0", "plant.events.taken_at=0.02"),
+            {"plant__places__tendons": ("0.0", "0.002"), "plant__events__taken": ("0.0", "0.2")},
+        ),
         ("tracking", (*DYNAMIC[:-1], "experiment.setpoints=null"), {"experiment__omega": ("1", "2")}),
     ],
 )

@@ -13,7 +13,7 @@ from apcc_torch.control.pid import TendonReference
 from apcc_torch.errors import ValueRangeError
 from apcc_torch.hardware.simulated.board import Board, Mode
 from apcc_torch.model.abscissae import decouple
-from apcc_torch.model.dynamics import SoftArmDynamics
+from apcc_torch.model.arm_dynamics import ArmDynamics
 from apcc_torch.model.integrators import ArmState
 from apcc_torch.model.kinematic_model import KinematicModel
 from apcc_torch.native.compiled import Step
@@ -28,7 +28,7 @@ class PlantNow(Protocol):
     def z(self) -> Tensor: ...
     @property
     def diverged_at(self) -> Tensor: ...
-    def _replace(self, *, z: Tensor = ...) -> Self: ...
+    def _replace(self, *, z: Tensor = ..., held: Tensor = ...) -> Self: ...
 
 
 class TruePlant(Protocol):
@@ -38,7 +38,7 @@ class TruePlant(Protocol):
     B: Tensor
 
     @property
-    def dynamics(self) -> SoftArmDynamics: ...
+    def dynamics(self) -> ArmDynamics: ...
     @property
     def backbone(self) -> KinematicModel: ...
     def limp(self) -> Self: ...
@@ -141,9 +141,10 @@ class SimulatedArm:
         before = self.now
         if mode is Mode.LIMP:
             still = torch.zeros_like(self.reference)
-            self.now = self.dragged(before, TendonReference(still, still))._replace(z=still)
-            self.reference = self.plant.lengths(self.now.arm.q)
-            self.rate = self.plant.lengths(self.now.arm.qdot)
+            later = self.dragged(before, TendonReference(still, still))
+            self.reference = self.plant.lengths(later.arm.q)
+            self.rate = self.plant.lengths(later.arm.qdot)
+            self.now = later._replace(z=still, held=self.reference)
             effort = torch.zeros_like(self.rate)
         else:
             wish = torch.from_numpy(goal).to(self.reference).unsqueeze(0)

@@ -1,0 +1,117 @@
+"""The law of the shape in its loop: what it remembers, what it leaves alone, and that it wins."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+
+from apcc_torch import APCCController, Arm, Measurement, Target, compose, decouple
+from apcc_torch.control.adaptation import AdaptiveLawSettings
+from apcc_torch.control.composite_controller import CompositeController
+from apcc_torch.control.shape_law import ShapeLaw, ShapeLawSettings
+from apcc_torch.errors import ConfigError
+from apcc_torch.estimation.shape_feedback import ShapeFeedback
+from apcc_torch.experiments.dynamic import curves, simulate
+from apcc_torch.model.backbone import PCCBackbone
+from apcc_torch.model.statics import equilibrium
+
+D = torch.float64
+ARM = Arm(lengths=[0.105, 0.255, 0.24])
+
+
+def held(arm: Arm, payload: float, steps: int, first: float = 1.0):  # type: ignore[no-untyped-def]
+    """An arm at rest under tendons and a payload, watched for some steps: the controller, its state, and the truth."""
+    pulls = torch.zeros(arm.n_tendons, dtype=D)
+    pulls[[0, 4, 8]] = 6.0
+    lengths = arm.refined(2)
+    q = equilibrium(arm.dynamics(2), routing=arm.routing(), tensions=pulls, payload=torch.tensor(payload, dtype=D)).q
+    fine = PCCBackbone(lengths.shape[-1], arm.base_rotation())
+    T = fine.pose(q, lengths, *decouple(arm.sensor_places(), lengths))
+    y = q @ arm.routing().matrix(lengths)
+    controller = APCCController.for_arm(arm)
+    state = controller.initial_state(torch.zeros(9, dtype=D), first * arm.rest_lengths())
+    target = Target(T[-1, :3, 3], torch.zeros(3, dtype=D))
+    for k in range(steps):
+        time = torch.tensor(0.02 * (k + 1), dtype=D)
+        state, command = controller(state, Measurement(T, time, tendons=y), target)
+    return controller, state, command, q, y
+
+
+@pytest.mark.parametrize("first", [0.8, 1.0, 1.2])
+def test_psi_falls_to_nothing_and_the_shape_is_followed_from_any_start(first: float) -> None:
+    controller, state, _, q, _ = held(ARM, 0.4, 200, first)
+    assert state.q_bar[2::3].abs().max() < 1e-4
+    fine = PCCBackbone(6, ARM.base_rotation()).points(q, ARM.refined(2), 31)
+    off = (controller.backbone.points(state.q_bar, state.pi_hat, 31) - fine).norm(dim=-1)
+    assert off.mean() < 3e-3
+    assert state.shape is not None
+    assert abs(float(state.shape.shape.load) - 0.4) < 0.05
+
+
+def test_the_tendons_are_told_what_the_arm_s_own_sections_do() -> None:
+    controller, state, _, _, y = held(ARM, 0.4, 200)
+    assert state.shape is not None
+    assert controller.shape is not None
+    told = controller.tendons(controller.shape.strain(state.shape), state.pi_hat)
+    assert told is not None
+    assert (told - y).abs().max() < 1e-3
+
+
+def test_a_gap_in_the_sensors_holds_the_rest_lengths_and_q_d() -> None:
+    controller, state, _, _, y = held(ARM, 0.4, 100)
+    T = torch.full((3, 4, 4), torch.nan, dtype=D)
+    target = Target(torch.zeros(3, dtype=D), torch.zeros(3, dtype=D))
+    later, _ = controller(state, Measurement(T, state.time + 0.02, tendons=y), target)
+    assert torch.equal(later.pi_hat, state.pi_hat)
+    assert torch.equal(later.q_d, state.q_d)
+    assert bool(torch.isfinite(later.q_bar).all())
+
+
+def test_the_standard_controller_has_algorithm_2_alone() -> None:
+    controller = APCCController.for_arm(ARM, adaptive=False)
+    assert controller.shape is None
+    assert controller.initial_state(torch.zeros(9, dtype=D), ARM.rest_lengths()).shape is None
+
+
+def test_over_a_long_period_no_more_than_the_elongation_is_taken_over() -> None:
+    controller, state, _, _, _ = held(ARM, 0.4, 3)
+    law = ShapeLaw(ARM.rest_lengths(), controller.feedback, ShapeLawSettings(time_constant=0.1))
+    step = type("Step", (), {"q_bar": state.q_bar, "backbone": controller.backbone, "dt": torch.tensor(0.5, dtype=D)})
+    speed, _ = law.speed(step, None)  # type: ignore[arg-type]
+    assert torch.allclose(0.5 * speed, state.q_bar[2::3])
+
+
+def test_what_cannot_run_beside_it_is_refused() -> None:
+    with pytest.raises(ConfigError, match="needs q_bar of algorithm 2"):
+        CompositeController(APCCController.for_arm(ARM))
+    eq_15 = APCCController.for_arm(ARM, adaptation=AdaptiveLawSettings())
+    shape = ShapeFeedback.on(ARM, eq_15.backbone, ShapeLawSettings())
+    with pytest.raises(ConfigError, match="beside a law of the shape"):
+        APCCController(
+            eq_15.backbone,
+            eq_15.feedback,
+            eq_15.velocity_filter,
+            eq_15.inverse_kinematics,
+            list(eq_15.laws),
+            shape=shape,
+        )
+
+
+ARMS = {
+    "reversed, a sensor at the tip alone": ["arm.lengths=[0.24,0.255,0.105]", "arm.sensors=[0.6]"],
+    "softer than believed": ["plant.arm.bending_stiffness=0.545", "plant.arm.axial_stiffness=70"],
+}
+
+
+@pytest.mark.parametrize("name", ARMS)
+def test_on_any_arm_it_is_nearer_than_the_nominal_lengths(name: str) -> None:
+    """Two held-out set-points of section V-B with 0.5 kg, once the arm is there."""
+    changes = ["experiment=dynamic_run_2_tuned", "controller.rate=20", "plant.substeps=5", "experiment.duration=6"]
+    changes += ["experiment.payloads=[0.5]", "experiment.setpoints=[[0.215,0.03,-0.515],[0.275,-0.235,-0.42]]"]
+    settings = compose(*changes, "adaptation=shape", "progress=false", "figures=false", *ARMS[name]).settings
+    outcomes = [simulate(settings, adaptive) for adaptive in (False, True)]
+    standard, law = (curves(each.log, each.arms) for each in outcomes)
+    end = slice(-20, None)
+    assert law.shape_error[end].mean() < 0.85 * standard.shape_error[end].mean()
+    assert law.psi[end].mean() < standard.psi[end].mean()
+    assert law.e[-1].max() < 0.015
