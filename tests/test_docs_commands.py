@@ -60,7 +60,7 @@ UNRUN_BLOCKS: dict[str, str] = {
 NEEDS = {"sweep=optuna": "hydra_plugins.hydra_optuna_sweeper"}
 """What a command holds -> the extra that it cannot be composed without."""
 
-CHOSEN = ("plant", "residual", "adaptation", "model", "dynamics_law")
+CHOSEN = ("plant", "adaptation", "model", "dynamics_law")
 """Groups whose choices have keys of their own."""
 
 COMMANDS = list({command.text: command for page in PAGES for command in commands(page)}.values())

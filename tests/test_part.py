@@ -144,7 +144,7 @@ def test_print_shows_every_setting_of_every_part() -> None:
             assert type(part).__name__ in shown
             for each in fields(type(part).settings_type):
                 assert f"{each.name}=" in shown
-    assert "mode='position'" in shown and "null_weights=tensor(3,)" in shown and "reach='last'" in shown
+    assert "mode='position'" in shown and "null_weights=tensor(3,)" in shown and "reach='free'" in shown
 
 
 def test_help_shows_settings_where_the_constructor_takes_them() -> None:
@@ -331,9 +331,9 @@ def test_a_state_dict_restores_the_settings_of_parts_within() -> None:
         mode="position",
         window=9,
         K=2.0,
-        gamma=20.0,
+        time_constant=2.0,
         lower=0.7,
-        reach="free",
+        reach="last",
         integral=TaskIntegralSettings(gain=0.3),
     )
     plain = APCCController.for_arm(ARM, integral=TaskIntegralSettings())

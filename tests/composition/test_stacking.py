@@ -29,7 +29,7 @@ def law_of(controller: APCCController) -> AdaptiveLaw:
         *("arm.lengths=[0.1,0.2,0.3]", "velocity_filter.window=5", "feedback.angular_weight=0.2", "arm.mass=2"),
         *("bounds.lower=0.5", "bounds.lower=[0.5,0.6,0.7]", "plant.pid.K_P=500", "plant.tendon_damping=100"),
         *("experiment.payloads=[0.1,0.2,0.3]", "experiment.first_estimate=[1,1.1,1.2]"),
-        *("experiment.first_estimate=[along,1.1]", "residual.time_constant=2", "residual.total_weight=0.2"),
+        *("experiment.first_estimate=[along,1.1]", "adaptation.time_constant=2", "adaptation.load=0.2"),
     ],
 )
 def test_other_numbers_share_a_batch(change: str) -> None:
