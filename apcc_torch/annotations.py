@@ -33,7 +33,6 @@ _ALIASES = {
     "Lengths": ("floats", "Tensor"),
     "Points": ("list", "Tensor"),
     "Range": (),
-    "Shares": ("list",),
     "Strains": ("list",),
     "Table": ("list", "Tensor"),
     "Any": (),

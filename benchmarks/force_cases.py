@@ -36,9 +36,6 @@ ENCODER_NOISE = 1e-4
 """Of a tendon's length change, m, the same in all readings."""
 CONTROLLERS = {
     "fixed": ("experiment=dynamic_run_2_tuned", "controller.adaptive=false", *GENTLE),
-    "adapted": (
-        "experiment=dynamic_run_2_adaptive", *GENTLE, "residual.stretch=0.0", "controller.elongation_bound=0.08",
-    ),
 }  # fmt: skip
 ABSCISSAE = {1: 0.105, 2: 0.2325, 3: 0.36, 4: 0.48, 5: 0.6}
 """Tips of the true arm's sections, m: where it is touched."""

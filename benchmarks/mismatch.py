@@ -22,7 +22,7 @@ ARRIVED = 1e-3
 STANDARD = 1e-9
 """A Gamma with which no length moves: the standard controller as one more row."""
 BASE = (
-    "experiment=setpoint", "experiment.duration=8.0", "residual=none", "adaptation=slow", "adaptation.gain_scale=1.0",
+    "experiment=setpoint", "experiment.duration=8.0", "adaptation=slow", "adaptation.gain_scale=1.0",
     "arm.layout=coupled", "plant.arm.layout=independent", "plant.pid.K_P=2.0e+4", "sensors=mocap",
     "bounds.lower=0.3", "bounds.upper=2.0",
 )  # fmt: skip

@@ -1,8 +1,8 @@
 """Kinematic models compared: `python benchmarks/models.py` writes models.json and the table of docs/models.md.
 
-Section V-B's arm under 0.5 kg, poses seen, ten set-points, 6 s: every model with two, three and four sections, with
-fixed rest lengths and with those that the curve's law or the bank adapts. Beside what they reach, what one arm's step
-costs: eager, and with --compiled as machine code, which takes minutes to build for the larger models. Ten minutes.
+Section V-B's arm under 0.5 kg, poses seen, ten set-points, 6 s: every model with two, three and four sections of fixed
+rest lengths. Beside what they reach, what one arm's step costs: eager, and with --compiled as machine code, which takes
+minutes to build for the larger models.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from pathlib import Path
 
 import torch
 from page import between
-from run_settings import BANK, GENTLE, run_settings
+from run_settings import GENTLE, run_settings
 from sections import SECTIONS, with_sections
 from timing import timed_steps
 from tqdm import tqdm
@@ -35,18 +35,10 @@ MODELS: dict[str, tuple[str, ...]] = {
     ),
     "affine curvature": ("model=affine",),
 }  # fmt: skip
-SENSORS = 3
-POSES = ("experiment=dynamic_run_2_tuned", "experiment.payloads=[0.5]", "experiment.duration=6.0", *GENTLE)
-CONTROLLERS = {
-    "fixed": ("controller.adaptive=false",),
-    "curve": (
-        "residual.tangents=measured",
-        "residual.time_constant=0.3",
-        "residual.nominal_weight=0.05",
-        "residual.elongation_weight=0.05",
-    ),
-    "bank": BANK,
-}
+POSES = (
+    "experiment=dynamic_run_2_tuned", "experiment.payloads=[0.5]", "experiment.duration=6.0",
+    "controller.adaptive=false", *GENTLE,
+)  # fmt: skip
 KEPT = (
     "shape_error_mean_mm", "shape_error_max_mm", "sensor_error_linear_mean_mm", "sensor_error_angular_mean_rad",
     "psi_mean_cm", "end_effector_error_end_mm", "diverged_rows",
@@ -55,19 +47,9 @@ LOST = 600.0  # mm, the arm's length: beyond it the estimate has run away
 START, END = "<!-- table: python benchmarks/models.py -->", "<!-- end of table -->"
 
 
-def settings(model: str, sections: int, controller: str) -> SimulateSettings:
+def settings(model: str, sections: int) -> SimulateSettings:
     """One setting's configuration."""
-    lengths = SECTIONS[sections]
-    # A bank goes where its models are.
-    bank = controller == "bank"
-    return run_settings(
-        *POSES,
-        *CONTROLLERS[controller],
-        *MODELS[model],
-        *with_sections(lengths),
-        f"bounds.lower={'null' if bank else 0.75}",
-        f"bounds.upper={'null' if bank else 1.25}",
-    )
+    return run_settings(*POSES, *MODELS[model], *with_sections(SECTIONS[sections]))
 
 
 def _step_times(controller: APCCController, lengths: torch.Tensor, compiled: bool) -> dict[str, float]:
@@ -87,9 +69,9 @@ def _step_times(controller: APCCController, lengths: torch.Tensor, compiled: boo
     return found
 
 
-def measured(model: str, sections: int, controller: str, compiled: bool = False) -> dict[str, float]:
+def measured(model: str, sections: int, compiled: bool = False) -> dict[str, float]:
     """What one setting reaches and costs."""
-    config = settings(model, sections, controller)
+    config = settings(model, sections)
     outcome = simulate(config)
     metrics = dynamic_metrics(curves(thinned(outcome.log, 100), outcome.arms))
     build = Builder(config)
@@ -98,34 +80,25 @@ def measured(model: str, sections: int, controller: str, compiled: bool = False)
     return {name: metrics[name] for name in KEPT} | {"coordinates": float(build.backbone().n)} | costs
 
 
-def table(results: dict[str, dict[str, dict[str, dict[str, float]]]]) -> str:
+def table(results: dict[str, dict[str, dict[str, float]]]) -> str:
     """The results as a Markdown table."""
     lines = [
-        "| model | sections | n | controller | shape error (mm) | largest (mm) | sensor error (mm) | (mrad) "
+        "| model | sections | n | shape error (mm) | largest (mm) | sensor error (mm) | (mrad) "
         "| Psi (cm) | end effector (mm) | step, eager (us) | compiled (us) |",
-        "|---|---|---|---|---|---|---|---|---|---|---|---|",
+        "|---|---|---|---|---|---|---|---|---|---|---|",
     ]
     for model, by_sections in results.items():
-        for sections, by_controller in by_sections.items():
-            for controller, r in by_controller.items():
-                reached = [
-                    f"{r['shape_error_mean_mm']:.2f}", f"{r['shape_error_max_mm']:.1f}",
-                    f"{r['sensor_error_linear_mean_mm']:.2f}", f"{1e3 * r['sensor_error_angular_mean_rad']:.0f}",
-                    f"{r['psi_mean_cm']:.1f}", f"{r['end_effector_error_end_mm']:.0f}",
-                ]  # fmt: skip
-                if r["diverged_rows"] or r["shape_error_mean_mm"] > LOST:
-                    reached = ["lost"] + ["-"] * (len(reached) - 1)
-                compiled = f"{r['compiled_us']:.0f}" if "compiled_us" in r else ""
-                cells = [
-                    model,
-                    sections,
-                    f"{r['coordinates']:.0f}",
-                    controller,
-                    *reached,
-                    f"{r['eager_us']:.0f}",
-                    compiled,
-                ]
-                lines.append("| " + " | ".join(cells) + " |")
+        for sections, r in by_sections.items():
+            reached = [
+                f"{r['shape_error_mean_mm']:.2f}", f"{r['shape_error_max_mm']:.1f}",
+                f"{r['sensor_error_linear_mean_mm']:.2f}", f"{1e3 * r['sensor_error_angular_mean_rad']:.0f}",
+                f"{r['psi_mean_cm']:.1f}", f"{r['end_effector_error_end_mm']:.0f}",
+            ]  # fmt: skip
+            if r["diverged_rows"] or r["shape_error_mean_mm"] > LOST:
+                reached = ["lost"] + ["-"] * (len(reached) - 1)
+            compiled = f"{r['compiled_us']:.0f}" if "compiled_us" in r else ""
+            cells = [model, sections, f"{r['coordinates']:.0f}", *reached, f"{r['eager_us']:.0f}", compiled]
+            lines.append("| " + " | ".join(cells) + " |")
     return "\n".join(lines)
 
 
@@ -138,15 +111,13 @@ def main() -> None:
     parser.add_argument("--table", action="store_true", help="only write the table, from the file of --out")
     options = parser.parse_args()
     torch.set_num_threads(1)
-    results: dict[str, dict[str, dict[str, dict[str, float]]]] = {}
+    results: dict[str, dict[str, dict[str, float]]] = {}
     if options.table:
         results = json.loads(Path(options.out).read_text(encoding="utf-8"))
     else:
-        # A bank of models refuses more sections than sensors.
-        tasks = [(m, n, c) for m in MODELS for n in SECTIONS for c in CONTROLLERS if c != "bank" or n <= SENSORS]
-        for model, sections, controller in tqdm(tasks, desc="settings"):
-            found = measured(model, sections, controller, options.compiled)
-            results.setdefault(model, {}).setdefault(str(sections), {})[controller] = found
+        tasks = [(model, sections) for model in MODELS for sections in SECTIONS]
+        for model, sections in tqdm(tasks, desc="settings"):
+            results.setdefault(model, {})[str(sections)] = measured(model, sections, options.compiled)
             write_json(options.out, results)
     page = Path(options.page)
     write_atomically(page, between(page.read_text(encoding="utf-8"), START, END, table(results)))

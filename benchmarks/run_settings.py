@@ -7,8 +7,6 @@ from apcc_torch.composition.run_settings import SimulateSettings
 
 GENTLE = ("controller.null_gain=0.3", "controller.epsilon=0.005")
 """A null-space term with a kink at zero: what the tables of models, laws and forces were taken with."""
-BANK = ("residual=bank", "residual.nominal_weight=0.002", "residual.elongation_weight=0.02")
-"""A bank of models on section V-B's arm."""
 
 
 def run_settings(*overrides: str) -> SimulateSettings:

@@ -3,7 +3,6 @@
 The rule of `setpoints.py` with two other seeds gives eighteen further set-points an arm; the standard and the adaptive
 controller of each pair of `apcc_torch.benchmark` go to all of them with every payload. Settings are that program's:
 
-    python benchmarks/unseen.py grid.comparisons.B.runs.robot_2.adaptive=robot_2_tuned_bank
     python benchmarks/unseen.py 'experiments.common=["compile=aot","controller.rate=50","seed=4"]'
 """
 

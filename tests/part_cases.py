@@ -12,11 +12,9 @@ from apcc_torch.control.adaptation import NormalisedLaw
 from apcc_torch.control.adaptive_dynamics import AdaptiveDynamics
 from apcc_torch.control.clearance import ClearanceCost
 from apcc_torch.control.composite_controller import CompositeController
-from apcc_torch.control.length_bank import LengthBank
 from apcc_torch.control.length_bounds import LengthBounds
 from apcc_torch.control.obstacles import Capsule, HalfSpace, Sphere
 from apcc_torch.control.pid import TendonPID
-from apcc_torch.control.residual_adaptation import ResidualLaw
 from apcc_torch.control.task_controller import TaskController
 from apcc_torch.control.task_integral import TaskIntegral
 from apcc_torch.control.task_stack import TaskStack
@@ -57,7 +55,6 @@ from parts import (
     carried,
     controlled,
     controller,
-    curve,
     dynamics,
     exact,
     eye,
@@ -183,12 +180,6 @@ CASES: dict[str, Case] = {
         lambda: scalars(angular_time=0.1, linear_time=0.05, follow=0.7),
         lambda: {"delay": 0, "follow": 0.1},
     ),
-    "SensorCurve": Case(
-        curve,
-        lambda of: (of(poses()), of.abscissae),
-        lambda: {"base_rotation": base(), "abscissae": sensors()},
-        lambda: {"samples": 5, "tangents": "spline"},
-    ),
     "SensorGate": Case(
         lambda **t: SensorGate(**{"abscissae": sensors(), **t}),
         judged,
@@ -244,34 +235,7 @@ CASES: dict[str, Case] = {
         lambda **t: LengthBounds(**{"nominal": lengths(), "abscissae": sensors(), **t}),
         lambda of: of(0.5 * lengths()),
         lambda: {"nominal": lengths(), "abscissae": sensors(), "lower": numbers(0.7, 0.8), "upper": numbers(1.2, 1.3)},
-        lambda: {"reach": "free", "upper": None},
-    ),
-    "ResidualLaw": Case(
-        lambda **t: ResidualLaw(
-            **{"nominal": lengths(), "feedback": feedback(), "nominal_weight": 0.1, "rate": 10.0, **t}
-        ),
-        law_step,
-        lambda: {
-            "nominal": 1.05 * lengths(),
-            "gains": numbers(1.0, 0.5),
-            **scalars(time_constant=0.5, elongation_weight=0.1, nominal_weight=0.1, total_weight=0.1, damping=0.1),
-        },
-        lambda: {"rate": 1e-4, "excitation": 0.1},
-    ),
-    "LengthBank": Case(
-        lambda **t: LengthBank(
-            **{
-                "nominal": lengths(),
-                "feedback": feedback(),
-                "shares": (0.8, 1.0, 1.2),
-                "time_constant": 0.1,
-                "rate": 10.0,
-                **t,
-            }
-        ),
-        law_step,
-        lambda: {"nominal": lengths(), **scalars(stretch=0.5, time_constant=0.2)},
-        lambda: {"time_constant": 3.0, "stretch": 0.0},
+        lambda: {"reach": "last", "upper": None},
     ),
     "AdaptiveDynamics": Case(
         lambda **t: AdaptiveDynamics(

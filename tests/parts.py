@@ -21,7 +21,6 @@ from apcc_torch.control.tasks import Task, TaskTarget
 from apcc_torch.estimation.external_force import ForceBalance, Posture
 from apcc_torch.estimation.pose_filter import PoseFilter
 from apcc_torch.estimation.savitzky_golay import SavitzkyGolay
-from apcc_torch.estimation.sensor_curve import SensorCurve
 from apcc_torch.estimation.sensor_gate import SensorGate
 from apcc_torch.estimation.state_feedback import StateFeedback
 from apcc_torch.model.abscissae import decouple
@@ -183,10 +182,6 @@ def balance(**settings: Any) -> ForceBalance:
 
 def posture() -> Posture:
     return Posture(q(), lengths(), -0.5 - some(6).abs(), qdot(), number(0.1))
-
-
-def curve(**given: Any) -> SensorCurve:
-    return SensorCurve(**{"base_rotation": base(), "abscissae": sensors(), "samples": 3, **given})
 
 
 def scalars(**values: float) -> dict[str, Tensor]:

@@ -29,7 +29,7 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
         sys.executable, "-m", "apcc_torch.benchmark", "grid=small", "grid.duration=0.2", "hydra.run.dir=out",
         "~grid.comparisons.B", "~grid.comparisons.C",
         "~grid.comparisons.A.runs.run_1", "~grid.comparisons.A.runs.robot_2",
-        f"experiments.common={quick}", 'experiments.adaptive=["residual=joint"]',
+        f"experiments.common={quick}", 'experiments.adaptive=["adaptation=normalised"]',
     ]  # fmt: skip
     done = subprocess.run(command, cwd=folder, env=env, capture_output=True, text=True, check=False, timeout=300)
     assert done.returncode == 0, done.stderr
@@ -61,8 +61,8 @@ def test_config_holds_every_runs_settings(finished: tuple[Path, str]) -> None:
     config = OmegaConf.load(finished[0] / "config.yaml")
     runs = config.runs.A
     assert config.benchmark.grid.name == "small"
-    assert runs.run_2.standard.residual.target == "curve"
-    assert runs.run_2.adaptive.residual.target == "sensors"
+    assert runs.run_2.standard.adaptation.kind.endswith("ShapeLaw")
+    assert runs.run_2.adaptive.adaptation.kind.endswith("NormalisedLaw")
     assert runs.run_2.standard.controller.rate == 20.0
     assert runs.run_2.standard.experiment.payloads == [0.0, 0.5]
 
@@ -88,7 +88,7 @@ def test_help_teaches(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFix
     [
         ("grid.setpoints=11", "grid.setpoints must be between 1 and 10, got 11"),
         ('experiments.common=["controller.gama=1"]', "controller.gama is no setting"),
-        ('experiments.adaptive=["residual=none","residual.rate=1"]', "residual.rate is read by nothing"),
+        ('experiments.adaptive=["adaptation=none","adaptation.rate=1"]', "adaptation.rate is read by nothing"),
         ("grid.comparisons.A.runs.run_1.standard=dynamic_run_7", "dynamic_run_7"),
         ("grid.comparisons.A.runs.run_1={standard: dynamic_run_1, adaptive: robot_2}", "same experiment.setpoints"),
     ],

@@ -18,7 +18,7 @@ from apcc_torch.report import __main__ as report
     ("main", "words", "said"),
     [
         (simulate.main, "experiment=kinematics", "experiment has no choice 'kinematics'; did you mean kinematic?"),
-        (simulate.main, "experiment=kinematic adaptation=baank", "'baank'; did you mean residual=bank?"),
+        (simulate.main, "experiment=kinematic adaptation=sectons", "'sectons'; did you mean plant=sections?"),
         (simulate.main, "experiment=kinematic arm=naminal", "arm has no choice 'naminal'; it has arm_1, arm_2, "),
         (simulate.main, "experiment=kinematic feedback.mod=pose", "feedback.mod is no setting; did you mean mode?"),
         (simulate.main, "experiment=kinematic controller.K=[1,", "'controller.K=[1,' cannot be read: "),

@@ -31,7 +31,7 @@ QUICK = ("experiment.duration=0.1", "controller.rate=50", "figures=false", "prog
     "words",
     [
         ("experiment=dynamic_run_2", "controller.K=1.2"),
-        ("experiment=kinematic", "adaptation=none", "residual=bank", "integral.gain=0.5"),
+        ("experiment=kinematic", "adaptation=none", "integral.gain=0.5"),
     ],
 )
 def test_the_settings_are_those_of_the_command_line(words: tuple[str, ...]) -> None:

@@ -11,8 +11,6 @@ from torch import Tensor
 from apcc_torch.control.adaptation import AdaptiveLaw
 from apcc_torch.control.inverse_kinematics import InverseKinematics
 from apcc_torch.control.length_bounds import LengthBounds
-from apcc_torch.control.residual_adaptation import ResidualLaw
-from apcc_torch.estimation.sensor_curve import SensorCurve
 from apcc_torch.estimation.state_feedback import StateFeedback
 from apcc_torch.model.abscissae import decouple
 from apcc_torch.model.backbone import PCCBackbone
@@ -31,12 +29,8 @@ TAKEN: dict[str, tuple[Tensor, Callable[[Tensor], Tensor]]] = {
     "reach": (END, lambda x: LengthBounds(PI, x, lower=None, upper=None, reach="each")(0.9 * PI)),
     "bounds' nominal": (PI, lambda x: LengthBounds(x, lower=1.1, reach="free")(PI.clone())),
     "bounds' shares": (torch.full((3,), 1.1).double(), lambda x: LengthBounds(PI, lower=x, reach="free")(PI.clone())),
-    "nominal": (PI, lambda x: ResidualLaw(x, FEEDBACK, target="sensors").nominal),
-    "gains": (torch.ones(3), lambda x: ResidualLaw(PI, FEEDBACK, target="sensors", gains=x).gains),
     "base_rotation": (HANGING_BASE, lambda x: PCCBackbone(3, x).tip(torch.full((9,), 0.1).double(), PI)),
     "abscissae": (END, lambda x: StateFeedback(PCCBackbone(3), x).abscissae),
-    "curve's abscissae": (END, lambda x: SensorCurve(HANGING_BASE, x).abscissae),
-    "curve's base": (HANGING_BASE, lambda x: SensorCurve(x, END)(POSES)),
     "tendon offset": (torch.tensor(0.027).double(), lambda x: rack_routing(END, x).matrix(PI)),
 }
 

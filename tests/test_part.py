@@ -19,16 +19,13 @@ from apcc_torch.control.adaptive_dynamics import AdaptiveDynamics
 from apcc_torch.control.composite_controller import CompositeController
 from apcc_torch.control.controller import APCCController
 from apcc_torch.control.inverse_kinematics import InverseKinematics
-from apcc_torch.control.length_bank import LengthBank
 from apcc_torch.control.length_bounds import LengthBounds
 from apcc_torch.control.pid import TendonPID, TendonPIDSettings
-from apcc_torch.control.residual_adaptation import ResidualLaw
 from apcc_torch.control.task_controller import TaskController
 from apcc_torch.control.task_integral import TaskIntegral, TaskIntegralSettings
 from apcc_torch.errors import ConfigError
 from apcc_torch.estimation.pose_filter import PoseFilter
 from apcc_torch.estimation.savitzky_golay import SavitzkyGolay
-from apcc_torch.estimation.sensor_curve import SensorCurve
 from apcc_torch.estimation.sensor_gate import SensorGate
 from apcc_torch.estimation.soft_window import SoftWindow
 from apcc_torch.estimation.state_feedback import StateFeedback
@@ -147,7 +144,7 @@ def test_print_shows_every_setting_of_every_part() -> None:
             assert type(part).__name__ in shown
             for each in fields(type(part).settings_type):
                 assert f"{each.name}=" in shown
-    assert "mode='position'" in shown and "null_weights=tensor(3,)" in shown and "reach='last'" in shown
+    assert "mode='position'" in shown and "null_weights=tensor(3,)" in shown and "reach='free'" in shown
 
 
 def test_help_shows_settings_where_the_constructor_takes_them() -> None:
@@ -216,16 +213,13 @@ MAKE: dict[type[Part], Callable[..., Part]] = {
     ConstantStrainBackbone: lambda **s: ConstantStrainBackbone(3, HANGING_BASE, **s),
     Divergence: Divergence,
     InverseKinematics: lambda **s: InverseKinematics(n_sections=3, **s),
-    LengthBank: lambda **s: LengthBank(PI, feedback(), **s),
     LengthBounds: lambda **s: LengthBounds(PI, X, **s),
     NormalisedLaw: lambda **s: NormalisedLaw(3, **s),
     Plant: lambda **s: Plant(ARM.dynamics(), ARM.routing(), None, torch.zeros(2, dtype=D), PlantSettings(**s)),
     RodPlant: lambda **s: RodPlant.on(ARM, torch.zeros(2, dtype=D), RodPlantSettings(**s)),
     PoseFilter: PoseFilter,
     PoseSensors: PoseSensors,
-    ResidualLaw: lambda **s: ResidualLaw(PI, feedback(), **s),
     SavitzkyGolay: SavitzkyGolay,
-    SensorCurve: lambda **s: SensorCurve(HANGING_BASE, X, **s),
     SensorGate: lambda **s: SensorGate(X, **s),
     StateFeedback: lambda **s: StateFeedback(PCCBackbone(3, HANGING_BASE), X, **s),
     TaskController: lambda **s: controller(TaskController, **s),
@@ -236,7 +230,6 @@ MAKE: dict[type[Part], Callable[..., Part]] = {
 """Every part with settings, made with some of them changed."""
 
 OTHER: dict[str, Any] = {
-    "LengthBank.shares": (0.8, 1.0, 1.2),
     "CompositeController.lower": (0.01, 1.0, 0.0, 0.0, 0.5),
     "CompositeController.upper": (1.0, 99.0, 900.0, 1.0, 2.0),
     "ConstantStrainBackbone.strains": ("bend_x", "bend_y", "torsion", "elongation"),
@@ -244,7 +237,6 @@ OTHER: dict[str, Any] = {
     "events": ArmEventsSettings(taken=-0.1, growth=0.1),
     "pid": TendonPIDSettings(K_P=700.0, force_limit=40.0),
     "places": PlaceErrors(sensors=-0.01),
-    "tangents": "spline",
     "window": 9,
 }
 """Values of settings for which one more, or another choice, is none."""
@@ -284,8 +276,8 @@ def within(about: Any, value: float) -> bool:
     return True
 
 
-PARTS_MORE = ((Plant, "transmission"), (RodPlant, "transmission"), (ResidualLaw, "target"))
-"""Settings with which a part has a part more, or one less."""
+PARTS_MORE = ((Plant, "transmission"), (RodPlant, "transmission"))
+"""Settings with which a part has a part more."""
 
 CASES = [
     (part, each, i, value)
@@ -339,9 +331,9 @@ def test_a_state_dict_restores_the_settings_of_parts_within() -> None:
         mode="position",
         window=9,
         K=2.0,
-        gamma=20.0,
+        time_constant=2.0,
         lower=0.7,
-        reach="free",
+        reach="last",
         integral=TaskIntegralSettings(gain=0.3),
     )
     plain = APCCController.for_arm(ARM, integral=TaskIntegralSettings())
@@ -358,8 +350,6 @@ def test_a_state_of_another_form_is_refused_by_name() -> None:
         Gain(3).load_state_dict(state)
     with pytest.raises(ConfigError, match="one of Louder, this part is Gain"):
         Gain(3).load_state_dict(Louder(3).state_dict())
-    with pytest.raises(ConfigError, match="hold curve differently"):
-        MAKE[ResidualLaw]().load_state_dict(MAKE[ResidualLaw](target="sensors").state_dict())
 
 
 @pytest.mark.parametrize("kind", [*settings_classes(), *(part.settings_type for part in subclasses(Configurable))])

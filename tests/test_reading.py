@@ -14,7 +14,6 @@ from apcc_torch.classes import ALLOWED, Trust, class_named, name_of
 from apcc_torch.control.adaptation import AdaptiveLaw, NormalisedLaw
 from apcc_torch.control.control_settings import ControlSettings
 from apcc_torch.control.length_law import LengthLaw
-from apcc_torch.control.residual_adaptation import ResidualLaw
 from apcc_torch.errors import ConfigError, ValueRangeError
 from apcc_torch.model.affine import AffineBackbone
 from apcc_torch.model.arm import Arm
@@ -266,7 +265,6 @@ class AffineLike(AdaptiveLaw):
 
 
 def test_a_class_that_inherits_settings_is_read_back_as_itself() -> None:
-    chosen = ControlSettings(adaptation=AdaptiveLaw.settings_type(), residual=ResidualLaw.settings_type(memory=1.0),
-                             model=AffineBackbone.settings_type(rods=2))  # fmt: skip
+    chosen = ControlSettings(adaptation=AdaptiveLaw.settings_type(), model=AffineBackbone.settings_type(rods=2))
     assert read(plain(chosen), ControlSettings) == chosen
     assert read(deviations(chosen), ControlSettings) == chosen

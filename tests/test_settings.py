@@ -13,10 +13,7 @@ from torch import Tensor
 from apcc_torch.control.adaptation import AdaptiveLaw
 from apcc_torch.control.controller import APCCController
 from apcc_torch.control.inverse_kinematics import InverseKinematics
-from apcc_torch.control.length_bank import LengthBank, candidates, lists_of
-from apcc_torch.control.length_law import LengthLaw
 from apcc_torch.control.pid import TendonPID, ramp
-from apcc_torch.control.residual_adaptation import ResidualLaw
 from apcc_torch.control.step_io import Measurement, Target
 from apcc_torch.control.task_integral import TaskIntegral
 from apcc_torch.control.trajectory import SineTrajectory
@@ -36,7 +33,6 @@ from apcc_torch.simulation.rod_plant import RodPlant
 from apcc_torch.simulation.sensors import PoseSensors
 from arms import HANGING_BASE, PI
 from every_class import needed, settings_classes, subclasses
-from law_steps import law_step
 
 ROWS = 3
 
@@ -199,41 +195,8 @@ def integrated(**settings: Any) -> Tensor:
 SENSORS = rows(0.105, 0.36, 0.6)
 
 
-def followed(tried: LengthLaw, feedback: StateFeedback, steps: int) -> Tensor:
-    """pi_hat after some steps of a law on arms whose first section is shorter than the model's."""
-    backbone, X = feedback.backbone, feedback.abscissae
-    lengths = PI + rows(-0.02, 0.015, 0.0)
-    T = backbone.pose(0.5 * randn(ROWS, 9) * rows(1.0, 1.0, 0.02).repeat(3), lengths, *decouple(X, lengths))
-    pi, q, dt = PI.expand(ROWS, 3), torch.zeros(ROWS, 9, dtype=torch.float64), torch.tensor(0.05, dtype=torch.float64)
-    memory = tried.initial_memory(q, pi)
-    for _ in range(steps):
-        q = feedback(q, pi, T).q_bar
-        speed, memory = tried.speed(law_step(feedback, q, pi, T, dt, tried.needs_sensitivity), memory)
-        pi = pi + dt * speed
-    return pi
-
-
 def estimator(X: Tensor = SENSORS) -> StateFeedback:
     return StateFeedback(PCCBackbone(3, HANGING_BASE), X, angular_weight=0.1, max_iterations=5)
-
-
-QUICK = {"time_constant": 0.3, "elongation_weight": 0.05, "nominal_weight": 0.02}
-
-
-def curved(abscissae: Tensor = SENSORS, **settings: Any) -> Tensor:
-    feedback = estimator(abscissae)
-    return followed(ResidualLaw(PI, feedback, **{**QUICK, **settings}), feedback, 3)
-
-
-def joint(**settings: Any) -> Tensor:
-    settings = {"target": "sensors", "angular_weight": 0.1, "memory": 1.0, **QUICK, **settings}
-    return followed(ResidualLaw(PI, estimator(), **settings), estimator(), 3)
-
-
-def banked(abscissae: Tensor = SENSORS, **settings: Any) -> Tensor:
-    feedback = estimator(abscissae)
-    settings = {"shares": (0.7, 1.0), "stretch": 1.0, "time_constant": 0.1, **settings}
-    return followed(LengthBank(PI, feedback, **settings), feedback, 8)
 
 
 def sensed(**settings: Any) -> Tensor:
@@ -329,30 +292,6 @@ USES: dict[tuple[type, Callable[..., Tensor]], dict[str, tuple[float, ...]]] = {
         "gain": (0.0, 0.5, 2.0),
         "reach": (1e-4, 1e-3, 1e-2),
     },
-    (ResidualLaw, curved): {
-        "time_constant": (0.1, 0.5, 2.0),
-        "elongation_weight": (0.0, 0.1, 1.0),
-        "nominal_weight": (0.0, 0.1, 1.0),
-        "total_weight": (0.0, 0.1, 1.0),
-        "damping": (0.01, 0.1, 1.0),
-        "excitation": (1e-4, 0.1, 1.0),
-        "rate": (1e-4, 1e-3, 0.1),
-    },
-    (ResidualLaw, joint): {
-        "angular_weight": (0.01, 0.1, 1.0),
-        "memory": (0.01, 0.1, 1.0),
-    },
-    (LengthBank, banked): {
-        "elongation_weight": (0.0, 0.1, 1.0),
-        "nominal_weight": (0.0, 0.1, 1.0),
-        "sharpness": (0.0, 0.3, 3.0),
-        "resolution": (1e-6, 1e-3, 0.1),
-        "memory": (0.1, 1.0, 10.0),
-        "time_constant": (0.1, 0.5, 2.0),
-        "rate": (1e-3, 1e-2, 0.1),
-        "stretch": (0.1, 1.0, 2.0),
-        "total_range": (1e-4, 1e-3, 0.1),
-    },
     (PoseSensors, sensed): {
         "position_noise": (1e-3, 1e-2, 1.0),
         "angular_noise": (1e-3, 1e-2, 1.0),
@@ -415,10 +354,6 @@ def test_abscissae_may_differ_from_row_to_row() -> None:
     together = inferred(abscissae=torch.stack(sets))
     alone = torch.stack([inferred(abscissae=at)[i] for i, at in enumerate(sets)])
     torch.testing.assert_close(together, alone, rtol=1e-9, atol=1e-12)
-    for laws in (curved, banked):
-        together = laws(abscissae=torch.stack(sets))
-        alone = torch.stack([laws(abscissae=at)[i] for i, at in enumerate(sets)])
-        torch.testing.assert_close(together, alone, rtol=1e-9, atol=1e-12)
 
 
 def test_what_the_null_space_prefers_may_differ_from_row_to_row() -> None:
@@ -428,18 +363,6 @@ def test_what_the_null_space_prefers_may_differ_from_row_to_row() -> None:
         alone = [solver(null_gain=1.0, **{name: each}) for each in sets]
         torch.testing.assert_close(together, torch.stack([alone[i][i] for i in range(ROWS)]), rtol=1e-9, atol=1e-12)
         assert not torch.allclose(alone[0], alone[1], rtol=1e-6, atol=1e-9)
-
-
-def test_what_a_bank_tries_may_differ_from_row_to_row() -> None:
-    sets = [((0.7, 1.0), (0.8, 1.0)), ((0.6, 0.9), (1.0, 1.1)), ((0.8, 1.0), (0.9, 1.2))]
-    together = banked(shares=[torch.stack([rows(*each[i]) for each in sets]) for i in range(2)])
-    alone = [banked(shares=each) for each in sets]
-    assert not torch.allclose(alone[0], alone[1], rtol=1e-6, atol=1e-9)
-    torch.testing.assert_close(together[1:], torch.stack([alone[i][i] for i in (1, 2)]), rtol=1e-9, atol=1e-12)
-    # The first row's nominal lengths are one combination of its own shares, and alone they are not tried twice.
-    both = lists_of([torch.stack([rows(*each[i]) for each in sets]) for i in range(2)], 2)
-    again = candidates(PI, both, SENSORS)
-    assert again.shape == (3, 5, 3) and torch.equal(again[0, 0], again[0, -1])
 
 
 def test_draws_are_shared_where_runs_stand_side_by_side() -> None:

@@ -15,7 +15,7 @@ import commands
 from apcc_torch.conf_path import conf_path
 
 HELP_GROUPS = ("experiment", "state", "arm", "model", "plant", "sensors", "feedback", "pose_filter", "adaptation")
-HELP_GROUPS += ("residual", "dynamics_law", "sweep", "hydra/launcher")
+HELP_GROUPS += ("dynamics_law", "sweep", "hydra/launcher")
 
 
 def simulate(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:

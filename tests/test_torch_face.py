@@ -50,7 +50,7 @@ NEEDED = {
 }
 """The tensors without which a case is not made."""
 
-REFUSED = {"LengthBank", "LengthBounds", "SavitzkyGolay", "SensorGate"}
+REFUSED = {"LengthBounds", "SavitzkyGolay", "SensorGate"}
 """Cases some of whose arguments make constants: no Parameters, and left as they are by `made`."""
 
 every_case = pytest.mark.parametrize("name", CASES)

@@ -50,18 +50,18 @@ def _why(key: str, told: dict[str, str]) -> str | None:
 def of_a_run(c: RunSettings, velocity: bool = False) -> Unread:
     """What neither a simulation nor a run in real time reads; `velocity`: whether more than the laws need it."""
     e, arm = c.experiment, c.arm
-    laws = [part_of(law) for law in (c.adaptation, c.residual) if law is not None]
+    law = None if c.adaptation is None else part_of(c.adaptation)
     why = None
     if not c.controller.adaptive:
         why = "controller.adaptive is false"
-        yield "adaptation residual bounds", why
-    elif not laws:
-        why = "there is no law of the rest lengths, adaptation and residual are none"
+        yield "adaptation bounds", why
+    elif law is None:
+        why = "there is no law of the rest lengths, adaptation is none"
         yield "bounds", why
     elif c.controller.velocity == "commanded":
         why = "controller.velocity is commanded, and it filters the measured one"
-    elif not any(law.needs_velocity for law in laws):
-        why = f"{' and '.join(law.__name__ for law in laws)} needs no velocity"
+    elif not law.needs_velocity:
+        why = f"{law.__name__} needs no velocity"
     if why is not None and not velocity:
         yield "velocity_filter", why
     if c.feedback.mode == "position":
@@ -100,7 +100,7 @@ def of_a_simulation(c: SimulateSettings) -> Unread:
         yield ONE_TARGET, "experiment kinematic follows its sine"
         if c.state == "exact":
             yield (
-                "sensors feedback residual velocity_filter pose_filter integral controller.velocity",
+                "sensors feedback velocity_filter pose_filter integral controller.velocity",
                 "state is exact: q is known",
             )
         if not e.start_errors:

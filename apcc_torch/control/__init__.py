@@ -9,12 +9,10 @@ from apcc_torch.control.composite_controller import CompositeController, Composi
 from apcc_torch.control.control_settings import ControllerSettings, ControlSettings
 from apcc_torch.control.controller import APCCController
 from apcc_torch.control.inverse_kinematics import InverseKinematics, InverseKinematicsSettings, elongation_cost
-from apcc_torch.control.length_bank import LengthBank, LengthBankSettings
 from apcc_torch.control.length_bounds import LengthBounds, LengthBoundsSettings
 from apcc_torch.control.length_law import LawStep, LengthLaw
 from apcc_torch.control.obstacles import Capsule, HalfSpace, Obstacle, Sphere
 from apcc_torch.control.pid import TendonPID, TendonPIDSettings, TendonReference, ramp
-from apcc_torch.control.residual_adaptation import ResidualLaw, ResidualLawSettings
 from apcc_torch.control.step_io import Command, ControllerState, Measurement, Target
 from apcc_torch.control.task_controller import TaskController
 from apcc_torch.control.task_integral import TaskIntegral, TaskIntegralSettings
@@ -42,8 +40,6 @@ __all__ = [
     "InverseKinematics",
     "InverseKinematicsSettings",
     "LawStep",
-    "LengthBank",
-    "LengthBankSettings",
     "LengthBounds",
     "LengthBoundsSettings",
     "LengthLaw",
@@ -51,8 +47,6 @@ __all__ = [
     "NormalisedLaw",
     "NormalisedLawSettings",
     "Obstacle",
-    "ResidualLaw",
-    "ResidualLawSettings",
     "SetPoint",
     "SineTrajectory",
     "SolverStatus",

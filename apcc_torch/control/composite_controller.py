@@ -113,7 +113,8 @@ class CompositeController(Part):
         ValueRangeError: A setting is out of range.
 
     Example:
-        >>> controller = CompositeController(APCCController.for_arm(Arm(lengths=[0.2, 0.25])), payload=0.1)
+        >>> kinematic = APCCController.for_arm(Arm(lengths=[0.2, 0.25]), adaptation=None)
+        >>> controller = CompositeController(kinematic, payload=0.1)
         >>> controller.law.nominal
         tensor([7.7800e-02, 1.0000e+01, 2.0000e+02, 1.0000e-01, 1.0000e+00],
                dtype=torch.float64)

@@ -9,7 +9,6 @@ from typing import Any, Self
 from apcc_torch.control.inverse_kinematics import InverseKinematicsSettings
 from apcc_torch.control.length_bounds import LengthBoundsSettings
 from apcc_torch.control.length_law import LengthLaw
-from apcc_torch.control.residual_adaptation import ResidualLawSettings
 from apcc_torch.control.shape_law import ShapeLawSettings
 from apcc_torch.control.task_integral import TaskIntegralSettings
 from apcc_torch.errors import ConfigError
@@ -69,9 +68,6 @@ class ControlSettings(Settings):
     adaptation: Settings | None = setting(
         factory=ShapeLawSettings, meaning="law of the rest lengths; null: none", base=LengthLaw
     )
-    residual: Settings | None = setting(
-        factory=ResidualLawSettings, meaning="a second law, of the sensors' residuals; null: none", base=LengthLaw
-    )
     bounds: LengthBoundsSettings = setting(factory=LengthBoundsSettings, meaning="of pi_hat, whatever the laws say")
     integral: TaskIntegralSettings | None = setting(
         None, "", PAPER, "integral action on the task error; null: none, Eq. (14)"
@@ -84,7 +80,7 @@ class ControlSettings(Settings):
             ConfigError: No group has the key.
         """
         groups = {each.name: getattr(self, each.name) for each in fields(self)}
-        order = ("controller", "feedback", "velocity_filter", "adaptation", "bounds", "residual")
+        order = ("controller", "feedback", "velocity_filter", "adaptation", "bounds")
         for name, value in changes.items():
             if name in groups:
                 groups[name] = self._group(name, groups[name], value) if isinstance(value, Mapping) else value

@@ -121,22 +121,21 @@ class APCCController(Part):
         backbone = part_of(control.model).on(arm.n_sections, arm.base_rotation(), control.model)
         feedback = StateFeedback(backbone, arm.sensor_places(), control.feedback)
         solver = InverseKinematics(control.controller, coordinates=backbone.coordinates, n_sections=backbone.n_sections)
-        laws = [
-            part_of(law).on(nominal, feedback, law) for law in (control.adaptation, control.residual) if law is not None
-        ]
+        chosen = control.adaptation
+        law = None if chosen is None else part_of(chosen).on(nominal, feedback, chosen)
         return cls(
             backbone,
             feedback,
             SavitzkyGolay(control.velocity_filter),
             solver,
-            laws,
+            () if law is None else law,
             control.controller,
             # Clones, so that what is trained of the arm is trained as what it is, and the bounds stay.
             bounds=LengthBounds(lengths.clone(), feedback.abscissae.clone(), control.bounds),
             routing=arm.routing(),
             pose_filter=None if control.pose_filter is None else PoseFilter(control.pose_filter),
             integral=None if control.integral is None else TaskIntegral(control.integral),
-            shape=next((each for law in laws if (each := law.shape_feedback(arm, backbone)) is not None), None),
+            shape=None if law is None else law.shape_feedback(arm, backbone),
             **parts,
         )
 

@@ -30,7 +30,7 @@ class LengthBoundsSettings(Settings):
         "free",
         "",
         OURS,
-        "last, all sections together reach the last sensor; each, the first i reach sensor i; free",
+        "free; last, all sections together reach the last sensor; each, the first i reach sensor i",
         choices=("free", "last", "each"),
     )
 

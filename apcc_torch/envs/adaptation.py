@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 from torch.func import functional_call
 
-from apcc_torch.control.adaptation import AdaptiveLaw, AdaptiveLawSettings
+from apcc_torch.control.adaptation import AdaptiveLaw, AdaptiveLawSettings, NormalisedLawSettings
 from apcc_torch.control.control_settings import ControlSettings
 from apcc_torch.control.controller import APCCController
 from apcc_torch.control.step_io import Command, ControllerState, Measurement, Target
@@ -28,12 +28,13 @@ from apcc_torch.spread import ALONG
 DYNAMICS = ("kinematic", "dynamic")
 
 CONTROL: Mapping[str, Any] = {
+    "adaptation": NormalisedLawSettings(),  # Eq. (15): before its gamma below
     "mode": "position",  # the sensors tell no orientations
     "velocity": "commanded",
     "window": 3,  # of a filter that nothing reads then
     "order": 1,
     "gamma": [ALONG, 9.0, 4.25, 3.5],  # a decade up they are section V-A's
-    "residual": None,
+    "bounds": {"lower": 0.6, "upper": 1.4, "reach": "last"},
 }
 """How the controller of an environment differs from the shipped one."""
 

@@ -12,7 +12,6 @@ from apcc_torch.estimation.momentum_observer import MomentumObserver
 from apcc_torch.estimation.pose_filter import PoseFilter, PoseFilterSettings
 from apcc_torch.estimation.rest_calibration import RestCalibration
 from apcc_torch.estimation.savitzky_golay import SavitzkyGolay, SavitzkyGolaySettings
-from apcc_torch.estimation.sensor_curve import SensorCurve, SensorCurveSettings
 from apcc_torch.estimation.sensor_gate import Reason, SensorGate, SensorGateSettings, gate_recording
 from apcc_torch.estimation.soft_window import SoftWindow
 from apcc_torch.estimation.state_feedback import StateFeedback, StateFeedbackSettings
@@ -34,8 +33,6 @@ __all__ = [
     "RestCalibration",
     "SavitzkyGolay",
     "SavitzkyGolaySettings",
-    "SensorCurve",
-    "SensorCurveSettings",
     "SensorGate",
     "SensorGateSettings",
     "ShapeNoise",

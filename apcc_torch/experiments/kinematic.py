@@ -135,8 +135,6 @@ def simulate(config: SimulateSettings, points: int | None = None, progress: Prog
     Raises:
         ConfigError, ValueRangeError: A setting has no meaning.
     """
-    if config.state == "exact":
-        config = config.changed(residual=None)  # where q is known there are no residuals
     build = Builder(config, points)
     controller = build.controller()
     pi = build.rest_lengths()

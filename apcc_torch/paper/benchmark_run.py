@@ -72,9 +72,7 @@ def check_laws(run: str, rows: Mapping[str, Row]) -> None:
     """Raises ConfigError where the rows of a run differ in more than their law."""
 
     def shared(config: SimulateSettings) -> SimulateSettings:
-        return config.changed(
-            adaptation=None, residual=None, controller=config.controller.changed(adaptive=True)
-        )  # fmt: skip
+        return config.changed(adaptation=None, controller=config.controller.changed(adaptive=True))
 
     kept = {name: shared(row.config) for name, row in rows.items()}
     for name, config in kept.items():

@@ -2,13 +2,13 @@
 
 For the shape it is the best fit of the model's sections to the true backbone. For what algorithm 2 makes of the
 sensors, Psi and the residuals, it is the best over the run's own rest lengths and a grid of others, each metric by
-itself: no law that moves them within its bounds does better on this motion but for the grid's steps, and none does all
-of it at once.
-The grid holds lengths far beyond the bounds too, of any split of the arm that the sensors can tell.
+itself: no law does better on this motion but for the grid's steps, and none does all of it at once.
+The grid holds lengths near the nominal ones, and any split of the arm that the sensors can tell.
 """
 
 from __future__ import annotations
 
+import itertools
 from typing import NamedTuple
 
 import torch
@@ -17,7 +17,6 @@ from torch import Tensor
 from apcc_torch.composition.build import Builder
 from apcc_torch.composition.run_settings import SimulateSettings
 from apcc_torch.control.inverse_kinematics import elongation_cost
-from apcc_torch.control.length_bank import candidates, lists_of
 from apcc_torch.estimation.best_fit import best_fit
 from apcc_torch.estimation.state_feedback import StateFeedback
 from apcc_torch.experiments.dynamic import Arms, thinned
@@ -32,9 +31,9 @@ POINTS = 60
 STEPS = 5
 """Values of each rest length in the grid."""
 REACH = 0.25
-"""Where the law has no bounds, the grid goes this far from the nominal lengths, relative."""
+"""The grid goes this far from the nominal lengths, relative; the splits go farther."""
 SHARES = (0.4, 0.6, 0.8, 1.0, 1.2, 1.5)
-"""Beyond the bounds too: shares of the nominal lengths, see `control.length_bank.candidates`."""
+"""Shares of the nominal lengths that the sections of a split have, all but the last."""
 TOTALS = (1.0, 0.9, 1.1)
 """Their total lengths, relative."""
 PRICES = (0.0, 1e-3, 3e-3, 1e-2, 2e-2, 3e-2, 5e-2, 0.1, 0.2, 0.3, 0.5, 1.0, 3.0)
@@ -90,18 +89,44 @@ class Limits(NamedTuple):
         return [(1e3 * self.mean(shape), 1e2 * self.mean(psi)) for shape, psi in self.front]
 
 
-def length_grid(config: SimulateSettings, build: Builder) -> Tensor:
-    """(G, n_b) rest lengths, m: evenly within the law's bounds, and those of banks of several total lengths."""
+def length_grid(build: Builder) -> Tensor:
+    """(G, n_b) rest lengths, m: splits of several total lengths, and evenly around the nominal ones."""
     nominal = build.rest_lengths()
-    b = config.bounds
-    lower = build.vector("bounds.lower", (1.0 - REACH) if b.lower is None else b.lower, len(nominal)) * nominal
-    upper = build.vector("bounds.upper", (1.0 + REACH) if b.upper is None else b.upper, len(nominal)) * nominal
-    shares = torch.linspace(0.0, 1.0, STEPS, dtype=nominal.dtype, device=nominal.device)
-    axes = [low + (high - low) * shares for low, high in zip(lower, upper, strict=True)]
-    lists = lists_of(SHARES, len(nominal) - 1)
-    banks = [candidates(total * nominal, lists, build.sensors_at()) for total in TOTALS]
+    shares = torch.linspace(1.0 - REACH, 1.0 + REACH, STEPS, dtype=nominal.dtype, device=nominal.device)
+    around = torch.cartesian_prod(*[shares] * len(nominal)).reshape(-1, len(nominal)) * nominal
     # The nominal lengths are among them: the limit of a metric is never above what the fixed model reaches.
-    return torch.cat((*banks, torch.cartesian_prod(*axes)))
+    return torch.cat((*(splits(total * nominal, build.sensors_at()) for total in TOTALS), around))
+
+
+def splits(nominal: Tensor, abscissae: Tensor) -> Tensor:
+    """(M, n_b) rest lengths, m: the nominal ones, then every split of their sum by `SHARES` that sensors can tell.
+
+    For every section there must be a sensor of its own in it or in the next one, as a spline needs a point for every
+    knot (the condition of Schoenberg and Whitney). Otherwise one section is bent at will and its neighbour unbends it.
+
+    Args:
+        nominal: (n_b,) m.
+        abscissae: (k,) of the sensors, m, increasing.
+    """
+    n_b = len(nominal)
+    shares = list(itertools.product(SHARES, repeat=n_b - 1))
+    combined = nominal.new_tensor(shares).reshape(len(shares), n_b - 1)
+    first = nominal[:-1] * combined
+    made = torch.cat((first, nominal.sum() - first.sum(-1, keepdim=True)), dim=-1)
+    kept = (made[:, -1] > 0) & _told_apart(made, abscissae) & (combined != 1.0).any(-1)
+    return torch.cat((nominal.unsqueeze(0), made[kept]))
+
+
+def _told_apart(lengths: Tensor, abscissae: Tensor) -> Tensor:
+    """(M,) whether sensors at `abscissae` (k,) tell the sections of `lengths` (M, n_b) from each other."""
+    n_b = lengths.shape[-1]
+    ends = torch.nn.functional.pad(lengths.cumsum(-1), (1, 1))
+    ends[..., -1] = torch.inf  # nothing follows the last section
+    told = torch.zeros_like(ends[..., 0], dtype=torch.bool)
+    for X in itertools.combinations(abscissae.tolist(), n_b):
+        at = abscissae.new_tensor(X)
+        told = told | ((ends[..., :n_b] < at) & (ends[..., 2:] > at)).all(-1)
+    return told
 
 
 def patient_feedback(build: Builder) -> StateFeedback:
@@ -135,7 +160,7 @@ def limits(config: SimulateSettings, log: DynamicLog, arms: Arms) -> Limits:
         shape = best_fit(arms.model, true, few.q_bar, few.pi_hat).error
         estimate: list[tuple[Tensor, ...]] = []
         # The lengths that the controller had at these instants are among them: it is never below its own limit.
-        for pi in (few.pi_hat, *length_grid(config, build)):
+        for pi in (few.pi_hat, *length_grid(build)):
             q, linear, angular = _inferred(feedback, few.q_bar, pi, T)
             error = backbone_error(arms.true, few.q_true, arms.true_lengths, arms.model, q, pi, POINTS)
             estimate.append((error, elongation_cost(q), linear, angular))

@@ -14,10 +14,10 @@ import torch
 
 from apcc_torch.composition.build import Builder
 from apcc_torch.errors import ConfigError, DataError
-from apcc_torch.estimation.sensor_curve import SensorCurve
 from apcc_torch.experiments.realtime_run import LOG, settings_of
 from apcc_torch.files import write_atomically, write_json
 from apcc_torch.hardware.log_reader import RobotLog, read_log
+from apcc_torch.paper.measured_curve import measured_curve
 from apcc_torch.paper.text_table import aligned
 from apcc_torch.report.dynamic import RunCurves, mapping_error_figure, psi_figure, sensor_figure
 from apcc_torch.report.overlay import Overlay, error_figure, overlay_figure
@@ -73,7 +73,7 @@ def curves(record: RobotLog) -> Run:
         mapping_error(backbone, q_d, pi_hat, T[:, -1, :3, 3]).unsqueeze(-1),
         diverged,
     )
-    curve = SensorCurve(build.base_rotation(), build.sensors_at(), samples=20)(T[-1])
+    curve = measured_curve(build.base_rotation(), T[-1])
     goal = torch.tensor(record.topic("/target")["x_d"][-1])
     last = Overlay(curve, T[-1, :, :3, 3], backbone.points(q_bar[-1], pi_hat[-1], 100), goal)
     return Run(records, last, config.guards.arrival_error or 1e-3)

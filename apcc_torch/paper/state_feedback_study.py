@@ -13,10 +13,10 @@ from torch import Tensor
 from apcc_torch.composition.build import Builder
 from apcc_torch.composition.realtime import RealtimeSettings
 from apcc_torch.errors import DataError
-from apcc_torch.estimation.sensor_curve import SensorCurve
 from apcc_torch.experiments.realtime_run import LOG, settings_of
 from apcc_torch.files import write_atomically, write_json
 from apcc_torch.hardware.log_reader import read_log
+from apcc_torch.paper.measured_curve import measured_curve
 from apcc_torch.paper.text_table import aligned
 from apcc_torch.report.state_feedback import Estimate, Estimates, final_figure, four_panel_figure, norm_figure
 from apcc_torch.report.style import Draw
@@ -101,9 +101,7 @@ def study(folder: Path, runs: Sequence[str]) -> tuple[dict[str, float], dict[str
     for name in runs:
         config, seen = motion(folder / name)
         outcome[name] = estimate(config, seen)
-        build = Builder(config)
-        curve = SensorCurve(build.base_rotation(), build.sensors_at(), samples=20)
-        last[name] = curve(seen.T[-1]), seen.T[-1, :, :3, 3]
+        last[name] = measured_curve(Builder(config).base_rotation(), seen.T[-1]), seen.T[-1, :, :3, 3]
         table[name] = {
             "goal_m": config.ramp.goal,
             "pi_m": config.arm.lengths,

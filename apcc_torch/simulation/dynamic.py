@@ -237,7 +237,7 @@ def simulate_dynamic(
 
     Example:
         >>> arm = Arm(lengths=[0.2, 0.25], mass=0.4)
-        >>> controller = APCCController.for_arm(arm, residual=None)
+        >>> controller = APCCController.for_arm(arm)
         >>> target = SetPoint(torch.tensor([[0.05, 0.0, -0.44]]).double())
         >>> plant = Plant.on(arm, torch.tensor([0.1]).double(), PlantSettings(settle=0.5))
         >>> settings = DynamicSettings(duration=1.0, control_rate=25.0)

@@ -95,7 +95,7 @@ def _law_of(controller: APCCController) -> AdaptiveLaw | None:
     laws = list(controller.laws)
     if len(laws) == 1 and isinstance(laws[0], AdaptiveLaw):
         return laws[0]
-    raise ConfigError("where q is known the law is Eq. (15) alone: residual=none, and an adaptation of it")
+    raise ConfigError("where q is known adaptation must be a law of Eq. (15), such as proof")
 
 
 def simulate_exact(
@@ -124,7 +124,7 @@ def simulate_exact(
 
     Example:
         >>> arm = Arm(lengths=[0.2, 0.25])
-        >>> controller = APCCController.for_arm(arm, residual=None)
+        >>> controller = APCCController.for_arm(arm, adaptation=NormalisedLawSettings())
         >>> target = SetPoint(torch.tensor([0.05, 0.0, -0.44]).double())
         >>> true, first = arm.rest_lengths(), 1.1 * arm.rest_lengths()
         >>> log = simulate_exact(controller, true, first, target, duration=0.2, rate=100.0)

@@ -204,7 +204,7 @@ def simulate_feedback(
 
     Example:
         >>> arm = Arm(lengths=[0.2, 0.25])
-        >>> controller = APCCController.for_arm(arm, residual=None)
+        >>> controller = APCCController.for_arm(arm, adaptation=NormalisedLawSettings())
         >>> target = SetPoint(torch.tensor([0.05, 0.0, -0.44]).double())
         >>> true, first = arm.rest_lengths(), 1.1 * arm.rest_lengths()
         >>> log = simulate_feedback(controller, true, first, target, duration=1.0, rate=50.0)

@@ -10,7 +10,6 @@ from torch import Tensor
 
 from apcc_torch.composition.build import Builder
 from apcc_torch.control.adaptation import AdaptiveLaw
-from apcc_torch.control.residual_adaptation import ResidualLaw
 from apcc_torch.errors import ApccError, ConfigError
 from composed import changed, composed
 
@@ -63,8 +62,8 @@ def test_controller_takes_its_settings() -> None:
         "pose_filter.angular_time=0.04",
     )
     c = build.controller()
-    law, residual = c.laws
-    assert type(law) is AdaptiveLaw and type(residual) is ResidualLaw
+    (law,) = c.laws
+    assert type(law) is AdaptiveLaw and c.shape is None
     torch.testing.assert_close(law.metric, torch.diag(torch.tensor([0.5, 1.0, 1.5], dtype=torch.float64)))
     assert law.regressor == "partial" and law.rate == 0.2
     assert c.bounds is not None and c.bounds.largest is None and c.bounds.least is not None
@@ -174,8 +173,8 @@ def test_what_does_not_fit_the_rest_is_refused_where_it_is_built(key: str, value
         *(("dtype", "float16"), ("arm.base", "lying"), ("arm.lengths", "[0.1,-0.2,0.3]"), ("arm.lengths", "[]")),
         *(("arm.sensors", "[0.1,0.9]"), ("arm.sensors", "[0.3,0.1]"), ("experiment.first_estimate", "[1,1,0]")),
         *(("controller.K", "true"), ("controller.K", "much"), ("controller.K", "[1,2,x]"), ("controller.K", "{a: 1}")),
-        *(("residual.gains", "[]"), ("experiment.subset", "most"), ("feedback.mode", "both")),
-        *(("residual.target", "all"), ("velocity_filter.window", "0"), ("controller.velocity", "guessed")),
+        *(("experiment.subset", "most"), ("feedback.mode", "both")),
+        *(("adaptation.refine", "0"), ("velocity_filter.window", "0"), ("controller.velocity", "guessed")),
         *(("controller.bend_bound", "-1"), ("plant.pid.K_P", "-1"), ("plant.pid.force_limit", "0")),
         *(("plant.tendon_damping", "-1"), ("arm.stiffness_rule", "cubic"), ("plant.arm.layout", "crossed")),
         ("sensors.dropout", "1"),

@@ -161,7 +161,7 @@ PLAIN = "# @package _global_\nexperiment: {name: plain, kind: kinematic}\n"
 
 @pytest.fixture(scope="module")
 def plain_run(tmp_path_factory: pytest.TempPathFactory) -> Any:
-    """Settings as the command line makes them of the choices alone: plain_run("simulate", "residual=bank")."""
+    """Settings as the command line makes them of the choices alone: plain_run("simulate", "model=affine")."""
     folder = tmp_path_factory.mktemp("own")
     (folder / "experiment").mkdir()
     (folder / "experiment" / "plain.yaml").write_text(PLAIN)
@@ -187,9 +187,7 @@ def parts_in(settings: Settings, path: str = "") -> Iterator[tuple[str, Settings
 def test_what_the_command_line_builds_is_what_the_class_is(plain_run: Any) -> None:
     config = plain_run("simulate")
     compared = dict(parts_in(config))
-    assert {"model", "feedback", "controller", "adaptation", "residual", "bounds", "plant.pid", "sensors"} <= set(
-        compared
-    )
+    assert {"model", "feedback", "controller", "adaptation", "bounds", "plant.pid", "sensors"} <= set(compared)
     for key, settings in compared.items():
         if key not in ("arm", "experiment"):
             assert settings == type(settings)(), key
@@ -198,7 +196,7 @@ def test_what_the_command_line_builds_is_what_the_class_is(plain_run: Any) -> No
 
 
 def test_the_arm_in_real_time_is_what_its_classes_are(plain_run: Any) -> None:
-    config = plain_run("realtime", "sensors=perfect", "residual=curve_slow")
+    config = plain_run("realtime", "sensors=perfect")
     for key, settings in parts_in(config):
         if key not in ("arm", "experiment", "guards.sensing.gate"):
             assert settings == type(settings)(), key
@@ -210,30 +208,21 @@ def test_the_arm_in_real_time_is_what_its_classes_are(plain_run: Any) -> None:
     "words",
     [
         (),
-        ("adaptation=estimator_aware", "residual=bank", "model=affine"),
-        ("residual=none", "pose_filter.delay=0", "integral={}", "feedback=pose"),
+        ("adaptation=estimator_aware", "model=affine"),
+        ("adaptation=none", "pose_filter.delay=0", "integral={}", "feedback=pose"),
     ],
 )
 def test_every_module_of_the_controller_has_its_classs_settings(plain_run: Any, words: tuple[str, ...]) -> None:
     build = Builder(plain_run("simulate", *words))
     for module in (build.controller(), build.plant(torch.zeros(1).double()), build.pose_sensors()):
         for name, part in module.named_modules():
-            # A law's curve has the law's settings.
-            if not isinstance(part, Part) or "curve" in name:
-                continue
-            if not any(default_of(each) is MISSING for each in fields(part.settings_type)):
+            if isinstance(part, Part) and not any(default_of(each) is MISSING for each in fields(part.settings_type)):
                 compare(part.settings, type(part).settings_type(), f"{type(part).__name__} {name}")
-
-
-FILLED_IN = ("tangents", "gains")
-"""Settings whose None follows from the rest: from what algorithm 2 sees, and ones."""
 
 
 def compare(settings: Settings, defaults: Settings, name: str) -> None:
     for each in fields(settings):
         value, default, key = getattr(settings, each.name), getattr(defaults, each.name), f"{name}.{each.name}"
-        if each.name in FILLED_IN and default is None:
-            continue
         if isinstance(value, Tensor) and about_of(each).rows in ("gain", "task"):
             default = gain_matrix(key, default, value.shape[-1])
         if isinstance(value, Tensor):
@@ -246,8 +235,8 @@ def compare(settings: Settings, defaults: Settings, name: str) -> None:
 @pytest.mark.parametrize(
     ("group", "choice"),
     [
-        *(("adaptation", "normalised"), ("adaptation", "estimator_aware"), ("residual", "curve_slow")),
-        *(("residual", "bank"), ("dynamics_law", "composite"), ("model", "pcc"), ("model", "affine")),
+        *(("adaptation", "normalised"), ("adaptation", "estimator_aware"), ("adaptation", "shape")),
+        *(("dynamics_law", "composite"), ("model", "pcc"), ("model", "affine")),
         *(("plant", "sections"), ("sensors", "perfect"), ("feedback", "pose")),
     ],
 )

@@ -49,7 +49,7 @@ def test_a_hostile_file_is_read_or_refused_and_does_nothing(tmp_path: Path, monk
     read = 0
     kinds = [k for k, line in enumerate(lines) if re.match(r"\s+kind: apcc_torch", line)]
     named = ["\n".join([*lines[:k], lines[k].partition(":")[0] + ": evil.Law", *lines[k + 1 :]]) for k in kinds]
-    assert len(named) == 3  # model, residual and plant
+    assert len(named) == 3  # model, adaptation and plant
     for content in named + [mutated(lines, rng) for _ in range(150)]:
         try:
             told = str(plain(from_text(content, SimulateSettings)))

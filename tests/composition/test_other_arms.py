@@ -46,14 +46,8 @@ def test_every_experiment_runs_on_it(arm: tuple[str, int], experiment: str) -> N
     check(composed(f"experiment={experiment}", word, *QUICK), n)
 
 
-@pytest.mark.parametrize("residual", choices("residual", "custom"))
-def test_every_law_of_the_residuals_runs_on_it(arm: tuple[str, int], residual: str) -> None:
-    word, n = arm
-    check(composed("experiment=dynamic_run_2_bank", word, f"residual={residual}", *QUICK), n)
-
-
 @pytest.mark.parametrize("adaptation", choices("adaptation", "custom"))
-def test_every_law_of_the_task_error_runs_on_it(arm: tuple[str, int], adaptation: str) -> None:
+def test_every_law_runs_on_it(arm: tuple[str, int], adaptation: str) -> None:
     word, n = arm
     check(composed("experiment=kinematic", word, f"adaptation={adaptation}", *QUICK), n)
 

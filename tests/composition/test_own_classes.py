@@ -78,7 +78,7 @@ class Heavy(Plant):
 LAW = ("adaptation=custom", "adaptation.kind=my_parts.Leak")
 DYNAMIC = (
     *("experiment=dynamic_single", "experiment.duration=0.1", "controller.rate=50", "figures=false"),
-    *("plant.settle=0.1", "residual=none", "progress=false"),
+    *("plant.settle=0.1", "progress=false"),
 )
 
 
@@ -99,7 +99,7 @@ def metrics_in(run: Path) -> dict[str, float]:
 
 
 def test_a_law_of_ones_own(laboratory: Path) -> None:
-    done = simulate(laboratory, *QUICK, *LAW, "residual=none", "adaptation.time=2", "hydra.run.dir=run")
+    done = simulate(laboratory, *QUICK, *LAW, "adaptation.time=2", "hydra.run.dir=run")
     assert done.returncode == 0, done.stderr + done.stdout
     assert settings_in(laboratory / "run")["adaptation"] == {"kind": "my_parts.Leak", "time": 2.0}
     # Four steps of 0.02 s, each by a hundredth of what is left to 0.9 of the first estimate.

@@ -15,6 +15,7 @@ from omegaconf import OmegaConf
 from apcc_torch.composition.run_settings import SimulateSettings
 from apcc_torch.composition.schema import check_words, text, typed
 from apcc_torch.conf_path import conf_path
+from apcc_torch.control.adaptation import NormalisedLawSettings
 from apcc_torch.errors import ConfigError
 from apcc_torch.experiments.kinds import KINDS
 from apcc_torch.reading import read
@@ -22,7 +23,7 @@ from apcc_torch.sweeps.callback import planned
 from composed import ON_AN_ARM, changed, composed, raw
 
 CONF = Path(conf_path())
-GROUPS = ("adaptation", "arm", "dynamics_law", "feedback", "model", "plant", "pose_filter", "residual", "sensors")
+GROUPS = ("adaptation", "arm", "dynamics_law", "feedback", "model", "plant", "pose_filter", "sensors")
 NOT_FOR_A_RUN = {"custom", "ftdcr_v6", "trunk"}
 """A class of one's own has to be named; arms that only identification reads."""
 
@@ -40,14 +41,14 @@ def test_every_experiment_composes(experiment: str) -> None:
     assert OmegaConf.missing_keys(raw(f"experiment={experiment}")) == set()
 
 
-@pytest.mark.parametrize("experiment", ["kinematic", "dynamic_run_2_bank_noisy", "replay"])
+@pytest.mark.parametrize("experiment", ["kinematic", "dynamic_run_2", "replay"])
 def test_every_choice_composes_with_every_kind_of_experiment(experiment: str) -> None:
     available = {group: [name for name in choices(group) if name not in NOT_FOR_A_RUN] for group in GROUPS}
     for k in range(max(len(names) for names in available.values())):
         chosen = {group: names[k % len(names)] for group, names in available.items()}
         config = composed(f"experiment={experiment}", *(f"{group}={name}" for group, name in chosen.items()))
         assert config.experiment.name == experiment
-        for group in ("adaptation", "dynamics_law", "residual", "pose_filter"):
+        for group in ("adaptation", "dynamics_law", "pose_filter"):
             assert (getattr(config, group) is None) == (chosen[group] == "none"), "a choice replaces the whole"
 
 
@@ -61,7 +62,7 @@ def test_the_proofs_case_has_the_printed_law_unless_another_is_chosen() -> None:
     assert law == composed("experiment=kinematic", "adaptation=proof").adaptation
     assert (law.normalisation, law.dead_zone) == (0.0, 0.0)  # type: ignore[union-attr]
     chosen = composed("experiment=kinematic", "state=exact", "adaptation=normalised").adaptation
-    assert chosen == SimulateSettings.__dataclass_fields__["adaptation"].default_factory()  # type: ignore[misc]
+    assert chosen == NormalisedLawSettings()
 
 
 @pytest.mark.parametrize("sweep", choices("sweep"))
@@ -198,9 +199,8 @@ def test_what_is_added_and_read_by_nothing_is_named() -> None:
     ("words", "named"),
     [
         (("adaptation=none", "adaptation.gamma=3"), "adaptation.gamma is read by nothing: there is no adaptation here"),
-        (("residual=none", "residual.rate=1"), "residual.rate is read by nothing: there is no residual here"),
         (("dynamics_law.memory=1",), "dynamics_law.memory is read by nothing"),
-        (("residual=bank", "residual.gains=1"), "residual.gains is no setting"),
+        (("adaptation=shape", "adaptation.gamma=1"), "adaptation.gamma is no setting"),
     ],
 )
 def test_a_key_of_a_part_that_is_not_there_is_named(words: tuple[str, ...], named: str) -> None:
@@ -211,7 +211,7 @@ def test_a_key_of_a_part_that_is_not_there_is_named(words: tuple[str, ...], name
 def test_a_part_that_may_be_left_out_is_there_once_one_of_its_keys_is() -> None:
     assert composed("experiment=kinematic").integral is None
     assert composed("experiment=kinematic", "integral.reach=0.002").integral is not None
-    assert composed("experiment=dynamic_run_2_bank", "integral=null").integral is None
+    assert composed("experiment=kinematic", "integral=null").integral is None
     with pytest.raises(ConfigError, match=r"integral\.rech is no setting; did you mean reach"):
         composed("experiment=kinematic", "integral.rech=1")
 
@@ -246,7 +246,7 @@ def test_a_missing_value_is_named(key: str) -> None:
         composed("experiment=kinematic", f"{key}=???")
 
 
-@pytest.mark.parametrize("experiment", ["kinematic", "dynamic_run_2_bank_noisy", "dynamic_run_2_composite", "replay"])
+@pytest.mark.parametrize("experiment", ["kinematic", "dynamic_run_2", "dynamic_run_2_composite", "replay"])
 def test_settings_are_written_as_they_are_read(experiment: str) -> None:
     config = composed(f"experiment={experiment}")
     assert read(OmegaConf.to_container(OmegaConf.create(text(config))), SimulateSettings) == config  # type: ignore[arg-type]

@@ -29,7 +29,7 @@ def law_of(controller: APCCController) -> AdaptiveLaw:
         *("arm.lengths=[0.1,0.2,0.3]", "velocity_filter.window=5", "feedback.angular_weight=0.2", "arm.mass=2"),
         *("bounds.lower=0.5", "bounds.lower=[0.5,0.6,0.7]", "plant.pid.K_P=500", "plant.tendon_damping=100"),
         *("experiment.payloads=[0.1,0.2,0.3]", "experiment.first_estimate=[1,1.1,1.2]"),
-        *("experiment.first_estimate=[along,1.1]", "residual.time_constant=2", "residual.total_weight=0.2"),
+        *("experiment.first_estimate=[along,1.1]", "adaptation.time_constant=2", "adaptation.load=0.2"),
     ],
 )
 def test_other_numbers_share_a_batch(change: str) -> None:
@@ -51,8 +51,7 @@ def test_other_numbers_of_the_law_share_a_batch(change: str) -> None:
         *("arm.lengths=[0.1,0.2]", "arm.racks=[0.1,0.2,0.3]", "arm.base=standing", "plant.substeps=4"),
         *("experiment.duration=1", "experiment.payloads=[0.1]", "plant.arm.layout=independent", "seed=1"),
         *("sensors.position_noise=1e-3", "sensors.delay=1", "dtype=float32", "bounds.lower=null"),
-        *("residual.memory=1", "residual.target=sensors", "residual.gains=[1,1,2]", "residual.samples=4"),
-        *("residual.kind=apcc_torch.control.length_bank.LengthBank", "plant.arm.mass=2", "arm.sensors=[0.1,0.3,0.5]"),
+        *("adaptation.refine=3", "plant.arm.mass=2", "arm.sensors=[0.1,0.3,0.5]"),
         *("plant.refine=3", "plant.transmission.friction=0.1", "model.kind=apcc_torch.model.affine.AffineBackbone"),
     ],
 )
@@ -62,8 +61,8 @@ def test_another_form_has_a_batch_of_its_own(change: str) -> None:
 
 def test_every_class_is_part_of_the_form() -> None:
     paths = {path for path, _, value in leaves(changed("dynamic_run_2"))}
-    assert {("plant", "kind"), ("model", "kind"), ("residual", "kind"), ("plant", "arm", "mass")} <= paths
-    assert ("adaptation",) in paths and ("pose_filter",) in paths, "what is not there is told too"
+    assert {("plant", "kind"), ("model", "kind"), ("adaptation", "kind"), ("plant", "arm", "mass")} <= paths
+    assert ("integral",) in paths and ("pose_filter",) in paths, "what is not there is told too"
 
 
 def test_what_agrees_stays_and_what_differs_is_a_number_a_run() -> None:

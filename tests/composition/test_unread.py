@@ -28,7 +28,7 @@ SHORT = (*QUICK, "experiment.setpoints=[[0.1,0.1,-0.5]]", "experiment.payloads=[
             ("controller.velocity=commanded", "velocity_filter.window=25"),
             "controller.velocity is commanded",
         ),
-        ("dynamic_run_2", ("velocity_filter.window=25",), "ResidualLaw needs no velocity"),
+        ("dynamic_run_2", ("velocity_filter.window=25",), "ShapeLaw needs no velocity"),
         ("kinematic", ("controller.adaptive=false", "adaptation.gamma=3"), "controller.adaptive is false"),
         ("kinematic", ("plant.pid.K_P=3",), "experiment kinematic has no forces"),
         ("kinematic", ("arm.mass=2",), "experiment kinematic has no forces"),

@@ -47,7 +47,7 @@ def follow(c: APCCController, steps: int) -> tuple[ControllerState, list[Command
 
 
 def fixed(**settings: Any) -> APCCController:
-    return APCCController.for_arm(Arm(lengths=PI.tolist()), adaptation=None, residual=None, K=5.0, **settings)
+    return APCCController.for_arm(Arm(lengths=PI.tolist()), adaptation=None, K=5.0, **settings)
 
 
 @pytest.mark.parametrize("bound", [4e-3, 1e-6])

@@ -6,7 +6,6 @@ import pytest
 import torch
 
 from apcc_torch import AdaptiveLaw, APCCController, InverseKinematics, Measurement, SavitzkyGolay, StateFeedback, Target
-from apcc_torch.control.residual_adaptation import ResidualLaw
 from apcc_torch.model.abscissae import decouple
 from apcc_torch.model.affine import AffineBackbone
 from apcc_torch.model.tendons import rack_routing
@@ -20,12 +19,11 @@ D = torch.float64
 X = torch.tensor([0.1, 0.355, 0.59], dtype=D)
 
 
-@pytest.mark.parametrize(("name", "law"), [("torsion", "total"), ("mixed", "residual"), ("affine", "total")])
+@pytest.mark.parametrize(("name", "law"), [("torsion", "total"), ("mixed", "partial"), ("affine", "total")])
 def test_the_controllers_step_equals_its_eager_self(name: str, law: str) -> None:
     # One rod a section builds fastest, and goes the same way as more.
     model = AffineBackbone(3, HANGING_BASE, rods=1) if name == "affine" else MODELS[name](3, HANGING_BASE)
     feedback = StateFeedback(model, X, max_iterations=2, damping=1e-4)
-    residual = ResidualLaw(PI, feedback, time_constant=5.0, elongation_weight=0.05, nominal_weight=0.02)
     c = APCCController(
         model,
         feedback,
@@ -41,7 +39,7 @@ def test_the_controllers_step_equals_its_eager_self(name: str, law: str) -> None
             null_step=0.1,
             null_speed=5e-3,
         ),
-        residual if law == "residual" else AdaptiveLaw(3, 1.0),
+        AdaptiveLaw(3, 1.0, regressor=law),
         routing=rack_routing(X),
         elongation_bound=0.08,
         bend_bound=3.0,

@@ -179,7 +179,7 @@ def test_controllers_must_have_the_same_task(whole: SimulateSettings) -> None:
 
 
 def test_laws_may_differ_in_nothing_else(whole: SimulateSettings) -> None:
-    other = whole.changed(residual=None, controller=whole.controller.changed(adaptive=False))
+    other = whole.changed(adaptation=None, controller=whole.controller.changed(adaptive=False))
     check_laws("run_2", {"standard": Row(whole), "adaptive": Row(other)})
     wider = whole.changed(bounds=whole.bounds.changed(lower=0.1))
     with pytest.raises(ConfigError, match=r"only the law may differ between the rows of run_2.* has another bounds"):

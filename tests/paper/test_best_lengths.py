@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import pytest
 import torch
 
 from apcc_torch.composition.build import Builder
 from apcc_torch.experiments.dynamic import simulate, thinned
-from apcc_torch.paper.best_lengths import PRICES, Limits, length_grid, limits
+from apcc_torch.paper.best_lengths import PRICES, Limits, length_grid, limits, splits
 from apcc_torch.simulation.metrics import backbone_error
-from apcc_torch.spread import spread
 from composed import composed
 
 
@@ -63,15 +60,23 @@ def test_an_instant_stands_for_the_time_around_it() -> None:
     assert limit.mean(instants.unsqueeze(-1)) == pytest.approx(0.25, abs=0.01)
 
 
-def test_the_grid_spans_the_bounds_and_more_and_holds_the_nominal_lengths() -> None:
-    config = composed("experiment=dynamic_run_2")
-    grid = length_grid(config, Builder(config))
-    nominal = config.arm.rest_lengths()
-    lower, upper = (spread("bounds", b, 3) * nominal for b in (config.bounds.lower, config.bounds.upper) if b)
-    for corner in (lower, upper):
-        assert bool((grid - corner).abs().amax(-1).min() < 1e-12)
-    assert bool((grid.amin(0) <= lower).all()) and bool((grid.amax(0) >= upper).all())
+def test_the_grid_goes_around_the_nominal_lengths_and_holds_them() -> None:
+    build = Builder(composed("experiment=dynamic_run_2"))
+    grid, nominal = length_grid(build), build.rest_lengths()
+    for share in (0.75, 1.25):
+        assert bool((grid - share * nominal).abs().amax(-1).min() < 1e-12)
     torch.testing.assert_close(grid[0], nominal)
-    free = replace(config, bounds=replace(config.bounds, lower=None, upper=None))
-    corner = 1.25 * grid[0]
-    assert bool((length_grid(free, Builder(free)) - corner).abs().amax(-1).min() < 1e-12)
+    assert len(grid.unique(dim=0)) > 150
+
+
+def test_splits_keep_the_sum_and_are_those_that_the_sensors_tell() -> None:
+    nominal, abscissae = torch.tensor([0.2, 0.3]).double(), torch.tensor([0.25, 0.5]).double()
+    # 0.4 of 0.2 m ends at 0.08 m, 1.2 of it at 0.24, 1.5 at 0.3: a sensor in the first section or the next is in each.
+    found = splits(nominal, abscissae)
+    torch.testing.assert_close(found[0], nominal)
+    torch.testing.assert_close(found.sum(-1), torch.full((6,), 0.5).double())
+    assert sorted(found[:, 0].tolist()) == pytest.approx([0.08, 0.12, 0.16, 0.2, 0.24, 0.3])
+    assert splits(nominal, abscissae[:1]).tolist() == [nominal.tolist()], "one sensor tells nothing of two sections"
+    short = splits(nominal, torch.tensor([0.05, 0.1]).double())
+    assert short[:, 0].tolist() == pytest.approx([0.2, 0.08]), "a longer first section would hold both"
+    assert splits(nominal[:1], abscissae).tolist() == [[0.2]]

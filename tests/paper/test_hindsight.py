@@ -62,15 +62,15 @@ def test_the_best_lengths_are_within_bounds_and_no_worse_than_the_nominal_ones(s
     found = best_lengths(single, rounds=2, candidates=8)
     assert found.tried == 16 and found.score <= float(scores([constant(single, 1.0, 1.0, 1.0)])[0]) * (1 + 1e-9)
     assert score(simulate(with_found(single, found))) == pytest.approx(found.score, rel=1e-9)
-    lower, upper = (torch.tensor(b[1:]) for b in (single.bounds.lower, single.bounds.upper))
-    value = torch.tensor(found.value)
-    assert bool((value >= lower - 1e-9).all() and (value <= upper + 1e-9).all())
+    narrow = best_lengths(single.changed(bounds=single.bounds.changed(lower=0.9, upper=1.1)), rounds=1, candidates=4)
+    for each, lower, upper in ((found, 0.2, 2.0), (narrow, 0.9, 1.1)):
+        assert all(lower - 1e-9 <= value <= upper + 1e-9 for value in each.value)
 
 
 def test_a_gamma_is_found_where_the_law_has_one(single: SimulateSettings) -> None:
     with pytest.raises(ConfigError, match="a law with a gamma"):
         best_gamma(single)
-    law = composed("experiment=dynamic_single", "adaptation=estimator_aware", "residual=none", *QUICK)
+    law = composed("experiment=dynamic_single", "adaptation=estimator_aware", *QUICK)
     found = best_gamma(law, rounds=1, candidates=4)
     assert found.name == "adaptation.gamma" and 1e-3 <= found.value[0] <= 1e3 * (1 + 1e-9)
     tuned = with_found(law, found)

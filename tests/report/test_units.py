@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from apcc_torch.control.length_bank import LengthBank
+from apcc_torch.control.adaptation import AdaptiveLaw
 from apcc_torch.report.units import key_label, key_units, metric_label
 
 
@@ -12,7 +12,7 @@ def test_units_are_the_settings_own() -> None:
     assert key_label("controller.rate") == ("controller.rate", "Hz") and key_label("seed") == ("seed", "")
     assert key_label("plant.pid.K_P").unit == "N/m" and key_label("dynamics_law.payload").unit == "kg"
     # Of a class that is not the group's default too.
-    assert LengthBank.settings_type is not None and key_units()["residual.resolution"] == "m"
+    assert AdaptiveLaw.settings_type is not None and key_units()["adaptation.dead_zone"] == "m"
     assert key_label("experiment.nothing") == ("experiment.nothing", "")
 
 

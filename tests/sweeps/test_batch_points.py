@@ -45,9 +45,9 @@ def jobs(*swept: str) -> list[list[str]]:
             "feedback.max_iterations=5,7",
             "arm.placement.rotation=[3.1,0,0],[3,0,0]",
             "integral.gain=1,2",
-            "residual=none,bank",
+            "adaptation=none,proof",
         ],
-        ["residual=bank,curve", "adaptation=none,normalised", "bounds={lower:0.5,upper:2},{upper:1.5}"],
+        ["model=pcc,affine", "adaptation=none,shape", "bounds={lower:0.5,upper:2},{upper:1.5}"],
     ],
 )
 def test_a_point_is_the_job_of_its_number(swept: list[str]) -> None:
@@ -85,7 +85,7 @@ def test_points_of_a_batch_are_no_batches() -> None:
         (["controller.gian=1,2"], "controller.gian is no setting"),
         (["gain=1,2"], "gain is no setting"),
         (["controller.K=1,-1", "velocity_filter.window=5,0"], "velocity_filter.window must be"),
-        (["residual=none,bank", "residual.rate=1,2"], "residual.rate is read by nothing"),
+        (["adaptation=none,shape", "adaptation.time_constant=1,2"], "adaptation.time_constant is read by nothing"),
         (["controller.rate=fast,slow"], "fast"),
         (["controller.K=interval(1,2)"], "interval"),
         (["hydra.job.name=a,b"], "hydra"),

@@ -94,12 +94,11 @@ def base(*changes: str) -> SimulateSettings:
             },
         ),
         (
-            "dynamic_run_2_bank",
+            "robot_2",
             DYNAMIC,
             {
-                "arm__sensors": ("[0.105,0.36,0.6]", "[0.1,0.33,0.59]"),
-                "residual__shares": ("[[0.9,1.1],[0.3,0.4]]", "[[0.9,1.2],[0.25,0.35]]"),
-                "residual__sharpness": ("0.1", "0.4"),
+                "arm__sensors": ("[0.15,0.3,0.45]", "[0.1,0.25,0.44]"),
+                "adaptation__time_constant": ("0.2", "0.4"),
             },
         ),
         (
