@@ -207,6 +207,7 @@ def dynamic_metrics(c: figures.RunCurves) -> dict[str, float]:
         "shape_error_end_mm": 1e3 * c.shape_error[-1].mean(),
         "shape_error_end_max_mm": 1e3 * c.shape_error[-1].max(),
         "shape_error_last5s_max_mm": 1e3 * c.shape_error[last].max(),
+        "shape_error_last5s_mean_mm": 1e3 * c.shape_error[last].mean(),
         "psi_mean_cm": 1e2 * c.psi.mean(),
         "psi_max_cm": 1e2 * c.psi.max(),
         "psi_min_cm": 1e2 * c.psi.min(),

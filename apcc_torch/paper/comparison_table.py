@@ -8,6 +8,7 @@ from math import isfinite
 from apcc_torch.paper.law_rows import law_rows
 from apcc_torch.paper.outcomes import HELD_OUT, SINGLE, Outcome, Outcomes
 from apcc_torch.paper.printed_numbers import LEFT_OUT, PUBLISHED, TITLES, Published, published
+from apcc_torch.paper.regret import MANY, regret_rows
 from apcc_torch.paper.text_table import aligned
 
 Cell = dict[str, float | None]
@@ -174,8 +175,12 @@ def text(
 
 
 def law_text(outcomes: Outcomes, about: Mapping[str, str]) -> str:
-    """Laws beside each other, a table a run."""
+    """Laws beside each other, a table a run; of many runs a line each."""
+    whole = {run: rows for run, rows in outcomes.items() if not run.endswith((HELD_OUT, SINGLE))}
     parts = []
+    if len(whole) > MANY:
+        parts.append(aligned(regret_rows({run: run_cells(rows) for run, rows in whole.items()})))
+        outcomes = {}
     for run, rows in outcomes.items():
         if run.endswith(SINGLE):
             continue

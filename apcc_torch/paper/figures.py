@@ -8,12 +8,13 @@ from pathlib import Path
 from typing import Any
 
 from apcc_torch.experiments.dynamic import snapshots
+from apcc_torch.paper import regret
 from apcc_torch.paper.outcomes import HELD_OUT, SINGLE, Outcome, Outcomes
 from apcc_torch.report import dynamic as figures
 from apcc_torch.report import style
 from apcc_torch.report.animation import save_animation
 from apcc_torch.report.backbone_drawing import stroboscopic_figure
-from apcc_torch.report.laws import law_figure
+from apcc_torch.report.laws import law_figure, regret_figure
 from apcc_torch.report.style import warned
 from apcc_torch.report.trade_off import TradeOff, trade_off_figure
 from apcc_torch.simulation.divergence import sentence
@@ -80,13 +81,20 @@ def trade_offs(outcomes: Outcomes) -> dict[str, TradeOff]:
 
 
 def save_law_figure(outcomes: Outcomes, about: Mapping[str, str], folder: Path) -> list[Path]:
-    """Writes laws.png: the laws of a comparison beside each other on the held-out set-points.
+    """Writes laws.png: the laws of a comparison beside each other on the held-out set-points; of many runs regret.png.
 
     Args:
         outcomes: Run -> row -> outcome.
         about: Row -> what it is.
         folder: Where to.
     """
+    whole = {run: rows for run, rows in outcomes.items() if not run.endswith((HELD_OUT, SINGLE))}
+    if len(whole) > regret.MANY:
+        every: dict[str, tuple[float, float, float]] = {}
+        for run, rows in whole.items():
+            fixed, constant, law = (rows[row].metrics[regret.SHAPE] for row in regret.ROWS)
+            every[run.replace("_", " ")] = (fixed, constant, law)
+        return style.save_figures({"regret.png": lambda: regret_figure(every)}, folder)
     shown = {run: rows for run, rows in outcomes.items() if run.endswith(HELD_OUT)} or outcomes
     reached = {
         run.removesuffix(HELD_OUT).replace("_", " "): {

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, NullLocator
 
-from apcc_torch.report.style import SERIES, dress, legend, new_figure
+from apcc_torch.report.style import INK, SERIES, dress, legend, new_figure
 from apcc_torch.report.trade_off import TICKS
 
 MARKERS = ("o", "v", "^", "D", "s", "P", "X")
@@ -38,4 +38,30 @@ def law_figure(runs: Mapping[str, Mapping[str, tuple[float, float]]], title: str
         ax.set_xlim(0.7 * min(psi for _, psi in laws.values()), 1.4 * max(psi for _, psi in laws.values()))
         ax.set_ylim(0.7 * min(e for e, _ in laws.values()), 1.4 * max(e for e, _ in laws.values()))
     legend(axes[0], loc="best")
+    return figure
+
+
+def regret_figure(runs: Mapping[str, tuple[float, float, float]]) -> Figure:
+    """A line a run: the shape error of fixed lengths, of the best constant ones, and of the law.
+
+    Args:
+        runs: Run -> the three, mm.
+    """
+    figure = new_figure(7.2, 0.9 + 0.32 * len(runs))
+    ax = figure.subplots()
+    places = range(len(runs))
+    names = ("fixed nominal lengths", "best constant lengths in hindsight", "the law")
+    for i, (name, values) in enumerate(zip(names, zip(*runs.values(), strict=True), strict=True)):
+        ax.plot(values, places, MARKERS[i], color=SERIES[i], markersize=8, label=name, zorder=3)
+    for place, values in zip(places, runs.values(), strict=True):
+        ax.plot([min(values), max(values)], [place, place], color=INK, linewidth=0.6, zorder=1)
+    dress(ax, "mean shape error of the last 5 s (mm)", "", "")
+    ax.set_xscale("log")
+    every = [value for values in runs.values() for value in values]
+    ax.xaxis.set_major_locator(FixedLocator([tick for tick in TICKS if 0.8 * min(every) < tick < 1.3 * max(every)]))
+    ax.xaxis.set_major_formatter("{x:g}")
+    ax.xaxis.set_minor_locator(NullLocator())
+    ax.set_yticks(list(places), list(runs))
+    ax.set_ylim(len(runs) - 0.4, -0.6)
+    legend(ax, loc="lower center", bbox_to_anchor=(0.4, 1.0), ncols=3)
     return figure
