@@ -70,13 +70,13 @@ def test_the_grid_goes_around_the_nominal_lengths_and_holds_them() -> None:
 
 
 def test_splits_keep_the_sum_and_are_those_that_the_sensors_tell() -> None:
-    nominal, abscissae = torch.tensor([0.2, 0.3]).double(), torch.tensor([0.25, 0.5]).double()
+    nominal, abscissae = torch.tensor([0.2, 0.3], dtype=torch.float64), torch.tensor([0.25, 0.5], dtype=torch.float64)
     # 0.4 of 0.2 m ends at 0.08 m, 1.2 of it at 0.24, 1.5 at 0.3: a sensor in the first section or the next is in each.
     found = splits(nominal, abscissae)
     torch.testing.assert_close(found[0], nominal)
-    torch.testing.assert_close(found.sum(-1), torch.full((6,), 0.5).double())
+    torch.testing.assert_close(found.sum(-1), torch.full((6,), 0.5, dtype=torch.float64))
     assert sorted(found[:, 0].tolist()) == pytest.approx([0.08, 0.12, 0.16, 0.2, 0.24, 0.3])
     assert splits(nominal, abscissae[:1]).tolist() == [nominal.tolist()], "one sensor tells nothing of two sections"
-    short = splits(nominal, torch.tensor([0.05, 0.1]).double())
+    short = splits(nominal, torch.tensor([0.05, 0.1], dtype=torch.float64))
     assert short[:, 0].tolist() == pytest.approx([0.2, 0.08]), "a longer first section would hold both"
     assert splits(nominal[:1], abscissae).tolist() == [[0.2]]
