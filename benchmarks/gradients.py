@@ -47,7 +47,7 @@ def run(gains: tuple[Tensor, Tensor], way: str, periods: int, rows: int) -> Kine
         SavitzkyGolay(15, 2),
         InverseKinematics(K, null_gain=1.0),
         AdaptiveLaw(3, gamma, normalisation=10.0),
-        bounds=LengthBounds(TRUE, SENSORS, lower=None, upper=None),
+        bounds=LengthBounds(TRUE, SENSORS, lower=None, upper=None, reach="last"),
     )
     start = GUESS.expand(rows, 3)
     return simulate_feedback(controller, TRUE, start, PATH, (periods - 1) / RATE, RATE, checkpointed=checkpointed)

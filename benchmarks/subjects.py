@@ -50,7 +50,7 @@ def controller(dtype: torch.dtype, tendons: bool = True) -> APCCController:
         SavitzkyGolay(15, 2),
         InverseKinematics(1.8, null_gain=0.2),
         AdaptiveLaw(3, 1.0, normalisation=10.0),
-        bounds=LengthBounds(torch.tensor(LENGTHS, dtype=dtype), sensors, lower=None, upper=None),
+        bounds=LengthBounds(torch.tensor(LENGTHS, dtype=dtype), sensors, lower=None, upper=None, reach="last"),
         routing=rack_routing(sensors) if tendons else None,
         elongation_bound=0.08 if tendons else None,
     )

@@ -43,7 +43,7 @@ def run(backbone: PCCBackbone, adaptive: bool) -> KinematicLog:
         SavitzkyGolay(window=15, order=2),
         InverseKinematics(K=1.0, null_gain=1.0),
         AdaptiveLaw(3, [9.0, 4.25, 3.5]),
-        bounds=LengthBounds(TRUE, SENSORS, lower=None, upper=None),
+        bounds=LengthBounds(TRUE, SENSORS, lower=None, upper=None, reach="last"),
         adaptive=adaptive,
         velocity="commanded",
     )

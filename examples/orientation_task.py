@@ -60,7 +60,7 @@ def run(backbone: PCCBackbone, what: str | None, duration: float) -> KinematicLo
         SavitzkyGolay(window=15, order=2),
         InverseKinematics(K=2.0, null_gain=1.0),
         NormalisedLaw(3, gamma=[90.0, 42.5, 35.0]),
-        bounds=LengthBounds(TRUE, SENSORS, lower=None, upper=None),
+        bounds=LengthBounds(TRUE, SENSORS, lower=None, upper=None, reach="last"),
         velocity="commanded",
         tasks=[] if what is None else [Task(what, gain=2.0)],
     )

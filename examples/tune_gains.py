@@ -68,7 +68,7 @@ def controller(gains: Gains) -> APCCController:
         SoftWindow(gains.window, order=2),
         InverseKinematics(gains.K, null_gain=gains.null_gain),
         NormalisedLaw(3, gains.gamma, normalisation=gains.normalisation),
-        bounds=LengthBounds(TRUE, SENSORS),
+        bounds=LengthBounds(TRUE, SENSORS, lower=0.6, upper=1.4, reach="last"),
     )
 
 

@@ -232,10 +232,10 @@ CASES: dict[str, Case] = {
         lambda: {"normalisation": 1.0},
     ),
     "LengthBounds": Case(
-        lambda **t: LengthBounds(**{"nominal": lengths(), "abscissae": sensors(), **t}),
+        lambda **t: LengthBounds(**{"nominal": lengths(), "abscissae": sensors(), "reach": "last", **t}),
         lambda of: of(0.5 * lengths()),
         lambda: {"nominal": lengths(), "abscissae": sensors(), "lower": numbers(0.7, 0.8), "upper": numbers(1.2, 1.3)},
-        lambda: {"reach": "last", "upper": None},
+        lambda: {"reach": "free", "upper": None},
     ),
     "AdaptiveDynamics": Case(
         lambda **t: AdaptiveDynamics(

@@ -144,7 +144,12 @@ def law(**settings: Any) -> AdaptiveLaw:
 
 def controller(kind: type[APCCController] = APCCController, **given: Any) -> APCCController:
     of = given.pop("feedback", None) or feedback()
-    more = {"bounds": LengthBounds(lengths(), sensors()), "elongation_bound": 0.05, "routing": routing(), **given}
+    more = {
+        "bounds": LengthBounds(lengths(), sensors(), reach="last"),
+        "elongation_bound": 0.05,
+        "routing": routing(),
+        **given,
+    }
     parts = (given.pop("inverse_kinematics", None) or solver(), given.pop("laws", None) or law())
     more = {name: value for name, value in more.items() if name not in ("inverse_kinematics", "laws")}
     return kind(of.backbone, of, SavitzkyGolay(3, 1), *parts, **more)

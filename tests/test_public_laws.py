@@ -123,7 +123,7 @@ def smooth_state(q: Tensor, lengths: Tensor, dtype: torch.dtype, rng: torch.Gene
 def controller(**parts: Any) -> APCCController:
     law = AdaptiveLaw(3, 0.5, rate=0.5)
     end = torch.tensor([0.5], dtype=torch.float64)
-    bounds = LengthBounds(PI, end, lower=(PI - 0.05) / PI, upper=(PI + 0.1) / PI)
+    bounds = LengthBounds(PI, end, lower=(PI - 0.05) / PI, upper=(PI + 0.1) / PI, reach="last")
     null = {"null_weights": 2.0 * PI, "null_bends": 0.1 * PI}
     ik = InverseKinematics(null_gain=0.05, bend_rate=2.0, length_rate=0.5, **null)
     parts = {"bounds": bounds, "bend_bound": 1.0, "elongation_bound": 0.1, **parts}

@@ -99,7 +99,14 @@ def told(
 def file_values(path: Path) -> tuple[dict[str, Any], type[Settings]]:
     """What a file of conf/ sets, from the root on, and the root."""
     text = path.read_text(encoding="utf-8")
-    values = {k: v for k, v in (yaml.safe_load(text) or {}).items() if k not in ("defaults", "hydra")}
+    read = yaml.safe_load(text) or {}
+    values = {k: v for k, v in read.items() if k not in ("defaults", "hydra")}
+    for chosen in read.get("defaults", []):
+        for key, choice in chosen.items() if isinstance(chosen, dict) else ():
+            other = key.removeprefix("override /")
+            kind = kind_in(CONF / other, choice) if isinstance(values.get(other), dict) else None
+            if kind is not None:  # keys beside a choice are those of its class
+                values[other] = {"kind": kind, **values[other]}
     group = path.parent.name
     root = ROOTS.get(group, RealtimeSettings if {group, path.stem} & set(ON_AN_ARM) else SimulateSettings)
     if "@package _global_" in text:

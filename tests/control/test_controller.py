@@ -173,7 +173,7 @@ def test_the_speeds_of_laws_add_up_and_the_bounds_hold_for_their_sum() -> None:
     q, T, target = scene(3)
     gamma = torch.tensor([3.0, 0.2, 1.0], dtype=torch.float64)
     leak, law = Leak(0.3 * PI, time=0.05), AdaptiveLaw(3, gamma)
-    bounds = LengthBounds(PI, PI.cumsum(0), lower=0.5, upper=1.1)
+    bounds = LengthBounds(PI, PI.cumsum(0), lower=0.5, upper=1.1, reach="last")
     alone = [controller(laws=each) for each in (leak, law)]
     both = controller(laws=[leak, law], bounds=bounds)
     state = both.initial_state(q, PI_HAT)
@@ -192,7 +192,8 @@ def test_the_speeds_of_laws_add_up_and_the_bounds_hold_for_their_sum() -> None:
 
 def test_without_a_law_nothing_adapts() -> None:
     q, T, target = scene(3)
-    for c in (controller(laws=()), controller(laws=[], bounds=LengthBounds(PI, PI.cumsum(0), lower=0.99, upper=1.01))):
+    bounds = LengthBounds(PI, PI.cumsum(0), lower=0.99, upper=1.01, reach="last")
+    for c in (controller(laws=()), controller(laws=[], bounds=bounds)):
         state, _ = c(c.initial_state(q, PI_HAT), Measurement(T, stamp(0.02)), target)
         assert torch.equal(state.pi_hat, PI_HAT.expand(3, 3)) and state.memories == ()
 

@@ -94,18 +94,23 @@ def test_with_a_reach_for_each_the_first_sections_reach_their_sensor(seed: int) 
 
 
 def test_the_reach_comes_after_the_shares_and_may_leave_them() -> None:
-    bounds = LengthBounds(PI, PI.cumsum(0), lower=0.5, upper=0.9)
+    bounds = LengthBounds(PI, PI.cumsum(0), lower=0.5, upper=0.9, reach="last")
     held = bounds(tensor(0.01, 1.0, 0.2))
     cut = torch.minimum(torch.maximum(tensor(0.01, 1.0, 0.2), 0.5 * PI), 0.9 * PI)
     torch.testing.assert_close(held, cut + (PI.sum() - cut.sum()) / 3)
     assert (held > 0.9 * PI).any()
 
 
-def test_by_default_the_last_sensor_is_on_the_arm() -> None:
+def test_by_default_a_section_is_no_shorter_than_a_fifth_and_no_longer_than_twice() -> None:
     bounds = LengthBounds(PI, tensor(0.2, 0.55))
-    assert bounds.least is not None and bounds.largest is not None and bounds.ends is not None
-    assert torch.equal(bounds.least, 0.6 * PI) and torch.equal(bounds.largest, 1.4 * PI)
-    assert bounds.ends.tolist() == [0.0, 0.0, 0.55]
+    assert bounds.least is not None and bounds.largest is not None and bounds.ends is None
+    assert torch.equal(bounds.least, 0.2 * PI) and torch.equal(bounds.largest, 2.0 * PI)
+    assert torch.equal(bounds(0.1 * PI), 0.2 * PI) and torch.equal(bounds(3.0 * PI), 2.0 * PI)
+
+
+def test_the_last_sensor_is_on_the_arm() -> None:
+    bounds = LengthBounds(PI, tensor(0.2, 0.55), reach="last")
+    assert bounds.ends is not None and bounds.ends.tolist() == [0.0, 0.0, 0.55]
     assert float(bounds(0.1 * PI).sum()) == pytest.approx(0.55)
 
 
@@ -149,18 +154,18 @@ def test_single_precision_stays_single() -> None:
         ({"lower": -1.0}, ValueRangeError, "lower must be positive and finite, got -1.0"),
         ({"upper": float("inf")}, ValueRangeError, "upper must be positive and finite, got inf"),
         ({"lower": 1.0, "upper": 1.0}, ValueRangeError, "lower must be below upper for every section"),
-        ({"lower": [0.5, 1.5, 0.5]}, ValueRangeError, "lower must be below upper for every section"),
+        ({"lower": [0.5, 2.5, 0.5]}, ValueRangeError, "lower must be below upper for every section"),
         ({"upper": tensor(1.1, 1.2)}, ConfigError, "upper must have 3 entries, got 2"),
         ({"upper": [1.1, 1.2]}, ConfigError, "upper must have 3 entries, got 2"),
         ({"reach": "first"}, ConfigError, "reach must be one of free, last, each, got 'first'"),
         ({"reach": 0.6}, ConfigError, "reach must be"),
-        ({"abscissae": None}, ConfigError, "reach=last needs the sensors' abscissae"),
+        ({"abscissae": None, "reach": "last"}, ConfigError, "reach=last needs the sensors' abscissae"),
         ({"abscissae": None, "reach": "each"}, ConfigError, "reach=each needs the sensors' abscissae"),
         ({"abscissae": tensor(0.2, 0.6), "reach": "each"}, ConfigError, "one sensor a section, got 2 for 3"),
         ({"abscissae": tensor(0.5, 0.4, 0.6), "reach": "each"}, ValueRangeError, "abscissae"),
-        ({"abscissae": tensor(0.1, 0.2, torch.nan)}, ValueRangeError, "abscissae"),
-        ({"abscissae": tensor(-1.0)}, ValueRangeError, "abscissae"),
-        ({"abscissae": tensor(torch.inf)}, ValueRangeError, "abscissae"),
+        ({"abscissae": tensor(0.1, 0.2, torch.nan), "reach": "last"}, ValueRangeError, "abscissae"),
+        ({"abscissae": tensor(-1.0), "reach": "last"}, ValueRangeError, "abscissae"),
+        ({"abscissae": tensor(torch.inf), "reach": "last"}, ValueRangeError, "abscissae"),
         ({"nominal": tensor(0.1, torch.inf, 0.2)}, ValueRangeError, "nominal is not finite"),
         ({"nominal": torch.tensor(0.2)}, ShapeError, "nominal must have shape"),
     ],

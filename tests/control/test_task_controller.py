@@ -44,7 +44,7 @@ def parts(K: float = 2.0, null_speed: float | None = None) -> dict[str, Any]:
             K=K, null_gain=0.2, bend_rate=3.0, length_rate=0.3, null_speed=null_speed
         ),
         "laws": AdaptiveLaw(3, torch.tensor([9.0, 4.25, 3.5], dtype=torch.float64), normalisation=10.0),
-        "bounds": LengthBounds(PI, SENSORS, lower=None, upper=None),
+        "bounds": LengthBounds(PI, SENSORS, lower=None, upper=None, reach="last"),
         "routing": ROUTING,
     }
 

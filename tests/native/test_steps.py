@@ -47,7 +47,7 @@ def controller(mode: str = "pose", iterations: int = 2, **parts: Any) -> APCCCon
         SavitzkyGolay(5, 2),
         parts.pop("inverse_kinematics", InverseKinematics(1.5, null_gain=0.2)),
         parts.pop("laws", AdaptiveLaw(3, 1.0, normalisation=10.0, dead_zone=1e-4)),
-        bounds=parts.pop("bounds", LengthBounds(PI, X, lower=None, upper=None)),
+        bounds=parts.pop("bounds", LengthBounds(PI, X, lower=None, upper=None, reach="last")),
         routing=rack_routing(X),
         elongation_bound=0.01,  # some rows are at it
         **parts,

@@ -47,7 +47,7 @@ def controller(
         InverseKinematics(K=K, damping=damping, null_gain=1.0),
         AdaptiveLaw(3, gamma, regressor),
         # The farthest sensor is at the tip: the arm is no shorter than that.
-        bounds=LengthBounds(PI, PI.cumsum(0), lower=None, upper=None),
+        bounds=LengthBounds(PI, PI.cumsum(0), lower=None, upper=None, reach="last"),
         adaptive=adaptive,
     )
 
