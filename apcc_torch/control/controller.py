@@ -173,7 +173,11 @@ class APCCController(Part):
         expected = None if poses is None else poses.initial_state(q, self.feedback.abscissae.shape[-1])
         integral = None if self.integral is None else still[..., :3]
         shape = None if self.shape is None else self.shape.initial_state(q, pi_hat)
-        q_d = q if self.shape is None or shape is None else self.shape.strain(shape)
+        q_d = q
+        if self.shape is not None and shape is not None:
+            strain = self.shape.strain(shape)
+            # Of one row for arms of many, as a compiler asks, only the form counts.
+            q_d = strain if strain.shape == q.shape else q
         return ControllerState(q, still, pi_hat, q_d, still, filtered, stamp, memories, expected, integral, shape)
 
     def forward(

@@ -39,12 +39,12 @@ LARGEST_STEP = 0.3
 class ShapeState(NamedTuple):
     """What is known of the arm's shape.
 
-    strain: (..., n) c, the sections' bends, rad, and elongations, m.
-    load: (...) m at the tip, kg. variance: (...) of it, kg^2.
+    sections: (..., n) their bends, rad, and lengths, m: c of the module's head, and with it the rest lengths.
+    load: (...) m at the tip, kg. variance: (...) of it, over that of before it is felt.
     sag: (..., 2, n_f) of the pieces' strains, by the arm's own weight and by each kg at the tip.
     """
 
-    strain: Tensor
+    sections: Tensor
     load: Tensor
     variance: Tensor
     sag: Tensor
@@ -96,7 +96,7 @@ class LoadedShape(Part):
     Example:
         >>> arm = Arm(lengths=[0.2, 0.25], mass=0.4)
         >>> shape = LoadedShape.on(arm, LoadedShapeSettings())
-        >>> state = shape.initial_state(torch.zeros(6).double())
+        >>> state = shape.initial_state(torch.tensor([0.0, 0.0, 0.2, 0.0, 0.0, 0.25]).double())
         >>> shape.configuration(state).shape, float(state.load)
         (torch.Size([12]), 0.0)
     """
@@ -132,20 +132,24 @@ class LoadedShape(Part):
         """The estimator of an arm as it is believed to be."""
         return cls(arm.dynamics(settings.refine), arm.routing(), arm.sensor_places(), settings)
 
-    def initial_state(self, strain: Tensor) -> ShapeState:
-        """Sections of strain (..., n), of which nothing is known yet.
+    def initial_state(self, sections: Tensor) -> ShapeState:
+        """Sections of which nothing more is known yet.
 
         Args:
-            strain: (..., n) bends and elongations of the sections, as a `PCCBackbone` has them.
+            sections: (..., n) their bends, rad, and lengths, m, in the order of a `PCCBackbone`'s q.
         """
-        load = torch.zeros_like(strain[..., 0])
-        variance = (aligned(self.load, 0) * self._mass(strain)).square().expand_as(load)
-        none = torch.zeros_like(self._spread(strain))
-        return ShapeState(strain, load, variance, torch.stack((none, none), dim=-2))
+        load, none = torch.zeros_like(sections[..., 0]), torch.zeros_like(self._spread(sections))
+        return ShapeState(sections, load, torch.ones_like(load), torch.stack((none, none), dim=-2))
+
+    def strain(self, state: ShapeState) -> Tensor:
+        """c (..., n): bends, rad, and elongations, m, of the sections."""
+        length = self._lengths(state.sections)
+        none = torch.zeros_like(length)
+        return state.sections - torch.stack((none, none, length), dim=-1).flatten(-2)
 
     def configuration(self, state: ShapeState) -> Tensor:
         """q_f (..., n_f) of the arm's pieces: rad, rad, m."""
-        return self._spread(state.strain) + self._sag(state)
+        return self._spread(self.strain(state)) + self._sag(state)
 
     def forward(
         self, state: ShapeState, T: Tensor, usable: Tensor, oriented: Tensor, y: Tensor | None, dt: Tensor
@@ -162,21 +166,21 @@ class LoadedShape(Part):
         sag = self._renewed(state, dt)
         state = state._replace(sag=sag)
         r, J = self._residual(state, T, usable, oriented, y)
-        mass = self._mass(r)
-        walked = state.variance + (aligned(self.load_rate, 0) * mass).square() * dt
-        walked = torch.minimum(walked, (aligned(self.load, 0) * mass).square())
-        deviation = self._deviation(state.strain)
-        weight = torch.cat((deviation.square().reciprocal(), walked.reciprocal().unsqueeze(-1)), dim=-1)
-        pull = torch.cat((state.strain / deviation.square(), torch.zeros_like(walked).unsqueeze(-1)), dim=-1)
+        prior = (aligned(self.load, 0) * self._mass(r)).square()
+        walked = (state.variance + (aligned(self.load_rate, 0) / aligned(self.load, 0)) ** 2 * dt).clamp(max=1.0)
+        strain = self.strain(state)
+        deviation = self._deviation(strain)
+        weight = torch.cat((deviation.square().reciprocal(), (walked * prior).reciprocal().unsqueeze(-1)), dim=-1)
+        pull = torch.cat((strain / deviation.square(), torch.zeros_like(walked).unsqueeze(-1)), dim=-1)
         H = J.mT @ J + torch.diag_embed(weight)
-        last = torch.cat((torch.zeros_like(state.strain), torch.ones_like(state.load).unsqueeze(-1)), dim=-1)
+        last = torch.cat((torch.zeros_like(strain), torch.ones_like(state.load).unsqueeze(-1)), dim=-1)
         solved = solve_spd(H, torch.stack(((J.mT @ r.unsqueeze(-1)).squeeze(-1) - pull, last), dim=-1))
         step = solved[..., 0]
         step = step / (step[..., :-1].abs().amax(-1, keepdim=True) / LARGEST_STEP).clamp(min=1.0)
         moved = ShapeState(
-            state.strain + step[..., :-1],
+            state.sections + step[..., :-1],
             (state.load + step[..., -1]).clamp(min=0.0),
-            solved[..., -1, 1],
+            solved[..., -1, 1] / prior,
             sag,
         )
         finite = torch.isfinite(step).all(-1)
@@ -197,14 +201,20 @@ class LoadedShape(Part):
         """J S (..., n) of J (..., n_f)."""
         return J.unflatten(-1, (-1, self.refine, 3)).mean(-2).flatten(-2)
 
+    def _lengths(self, like: Tensor) -> Tensor:
+        """(..., n_b) rest lengths of the sections, m."""
+        return self.dynamics.lengths.to(like).unflatten(-1, (-1, self.refine)).sum(-1)
+
     def _mass(self, like: Tensor) -> Tensor:
         return self.dynamics.masses.to(like).sum(-1)
 
     def _deviation(self, strain: Tensor) -> Tensor:
         """(..., n) of a section's strain before it is measured."""
-        length = self.dynamics.lengths.to(strain).unflatten(-1, (-1, self.refine)).sum(-1)
-        bend = torch.ones_like(length) * aligned(self.bend, 1)
-        return torch.stack((bend, bend, aligned(self.elongation, 1) * length), dim=-1).flatten(-2).expand_as(strain)
+        length = self._lengths(strain)
+        bend, elongation = torch.broadcast_tensors(
+            torch.ones_like(length) * aligned(self.bend, 1), aligned(self.elongation, 1) * length
+        )
+        return torch.stack((bend, bend, elongation), dim=-1).flatten(-2).expand_as(strain)
 
     def _sag(self, state: ShapeState) -> Tensor:
         own, each = state.sag.unbind(-2)
@@ -233,7 +243,9 @@ class LoadedShape(Part):
         linear, angular = (into_body @ offset.unsqueeze(-1)).squeeze(-1), so3.log(turn)
         body = chain.body_jacobian()
         body = torch.cat((self._gathered(body), body @ state.sag[..., None, 1, :, None]), dim=-1)
-        weights = (oriented.to(q) / aligned(self.angular_noise, 1), usable.to(q) / aligned(self.position_noise, 1))
+        weights = torch.broadcast_tensors(
+            oriented.to(q) / aligned(self.angular_noise, 1), usable.to(q) / aligned(self.position_noise, 1)
+        )
         weight = torch.stack(weights, dim=-1).unsqueeze(-1).expand(*usable.shape, 2, 3).flatten(-2)
         r = (torch.cat((angular, linear), dim=-1) * weight).flatten(-2)
         J = (body * weight.unsqueeze(-1)).flatten(-3, -2)

@@ -67,10 +67,9 @@ class ShapeFeedback(Part):
     def initial_state(self, q: Tensor, pi_hat: Tensor) -> FollowedShape:
         """A shape of which the model's configuration q (..., n) and rest lengths pi_hat (..., n_b) tell first."""
         backbone = self.fit.backbone
-        bends, nominal = backbone.coordinates.bends(q), self.fit.nominal.to(q)
-        lengths = pi_hat + q[..., backbone.coordinates.elongations]
-        strain = torch.cat((bends, (lengths - nominal).unsqueeze(-1)), dim=-1).flatten(-2)
-        return FollowedShape(self.shape.initial_state(strain), lengths)
+        bends, lengths = backbone.coordinates.bends(q), pi_hat + q[..., backbone.coordinates.elongations]
+        sections = torch.cat((bends, lengths.unsqueeze(-1)), dim=-1).flatten(-2)
+        return FollowedShape(self.shape.initial_state(sections), lengths)
 
     def forward(
         self,
@@ -104,7 +103,7 @@ class ShapeFeedback(Part):
 
     def strain(self, state: FollowedShape) -> Tensor:
         """The bends and elongations of the arm's own sections, as a configuration (..., n) of the model."""
-        x, y, elongation = state.shape.strain.unflatten(-1, (-1, 3)).unbind(-1)
+        x, y, elongation = self.shape.strain(state.shape).unflatten(-1, (-1, 3)).unbind(-1)
         coordinates = self.fit.backbone.coordinates
         return coordinates.from_bends(x, y) + coordinates.on_elongations(elongation)
 
