@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import torch
 from torch import Tensor
 
+from apcc_torch.model.coordinates import Coordinates
 from apcc_torch.modes import none_left
 from apcc_torch.settings import Setting, aligned
 from apcc_torch.shapes import check_tensor
@@ -21,6 +22,37 @@ class RateBounds(NamedTuple):
 
     lower: Tensor
     upper: Tensor
+
+
+class ReferenceBounds:
+    """Bounds of q_d: what is beyond its bound already, as a start may be, is not pushed farther out.
+
+    Args:
+        coordinates: What q_d is made of.
+        bend, elongation: Its bounds, rad and m, numbers or (...); None for none.
+    """
+
+    def __init__(self, coordinates: Coordinates, bend: Setting | None, elongation: Setting | None) -> None:
+        self.coordinates = coordinates
+        self.bend, self.elongation = (torch.inf if bound is None else bound for bound in (bend, elongation))
+
+    @classmethod
+    def of(cls, coordinates: Coordinates, bend: Setting | None, elongation: Setting | None) -> Self | None:
+        """The bounds; None where there is none."""
+        return None if bend is None and elongation is None else cls(coordinates, bend, elongation)
+
+    def _of(self, q_d: Tensor) -> Tensor:
+        return self.coordinates.per_unit(self.bend, self.elongation, q_d.shape[-1], q_d)
+
+    def rates(self, q_d: Tensor, dt: Tensor) -> RateBounds:
+        """Bounds on qdot that keep q_d (..., n) within its own for dt (...)."""
+        bound, step = self._of(q_d), dt.unsqueeze(-1).clamp(min=1e-6)
+        return RateBounds(((-bound - q_d) / step).clamp(max=0.0), ((bound - q_d) / step).clamp(min=0.0))
+
+    def held(self, q_d: Tensor) -> Tensor:
+        """q_d (..., n) within its bounds."""
+        bound = self._of(q_d)
+        return torch.minimum(torch.maximum(q_d, -bound), bound)
 
 
 def solved_within(solve: Solve, bounds: RateBounds, rounds: int = 4) -> Tensor:

@@ -14,7 +14,7 @@ from apcc_torch.control.task_integral import TaskIntegralSettings
 from apcc_torch.errors import ConfigError
 from apcc_torch.estimation.pose_filter import PoseFilterSettings
 from apcc_torch.estimation.savitzky_golay import SavitzkyGolaySettings
-from apcc_torch.estimation.state_feedback import StateFeedbackSettings
+from apcc_torch.estimation.state_feedback_settings import StateFeedbackSettings
 from apcc_torch.model.backbone import PCCBackbone
 from apcc_torch.model.kinematic_model import KinematicModel
 from apcc_torch.reading import nested_in

@@ -9,11 +9,11 @@ import torch
 from torch import Tensor, nn
 
 from apcc_torch.control.adaptation import total_regressor
-from apcc_torch.control.bounds import RateBounds, within
+from apcc_torch.control.bounds import RateBounds, ReferenceBounds
 from apcc_torch.control.control_settings import ControllerSettings, ControlSettings
 from apcc_torch.control.inverse_kinematics import InverseKinematics
 from apcc_torch.control.length_bounds import LengthBounds
-from apcc_torch.control.length_law import LawStep, LengthLaw, Memory
+from apcc_torch.control.length_law import LawStep, LengthLaw, adapted
 from apcc_torch.control.step_io import Command, ControllerState, Measurement, Target, check_step, measured_tip
 from apcc_torch.control.task_integral import TaskIntegral
 from apcc_torch.control.tendon_limits import SolverStatus
@@ -23,7 +23,6 @@ from apcc_torch.estimation.pose_filter import PoseFilter, PoseFilterState
 from apcc_torch.estimation.savitzky_golay import SavitzkyGolay
 from apcc_torch.estimation.shape_feedback import FollowedShape, ShapeFeedback
 from apcc_torch.estimation.state_feedback import StateFeedback
-from apcc_torch.lie import se3
 from apcc_torch.model.arm import Arm
 from apcc_torch.model.kinematic_model import KinematicModel, Placed
 from apcc_torch.model.tendons import TendonRouting
@@ -168,16 +167,10 @@ class APCCController(Part):
         stamp = torch.zeros_like(q[..., 0]) if time is None else time.to(q.device).expand(batch)
         still = torch.zeros_like(q)
         memories = tuple(law.initial_memory(q, pi_hat) for law in self.laws)
-        filtered = self.velocity_filter.initial_state(q, stamp)
-        poses = self.pose_filter
+        filtered, poses = self.velocity_filter.initial_state(q, stamp), self.pose_filter
         expected = None if poses is None else poses.initial_state(q, self.feedback.abscissae.shape[-1])
         integral = None if self.integral is None else still[..., :3]
-        shape = None if self.shape is None else self.shape.initial_state(q, pi_hat)
-        q_d = q
-        if self.shape is not None and shape is not None:
-            strain = self.shape.strain(shape)
-            # Of one row for arms of many, as a compiler asks, only the form counts.
-            q_d = strain if strain.shape == q.shape else q
+        shape, q_d = (None, q) if self.shape is None else self.shape.start(q, pi_hat)
         return ControllerState(q, still, pi_hat, q_d, still, filtered, stamp, memories, expected, integral, shape)
 
     def forward(
@@ -218,14 +211,15 @@ class APCCController(Part):
         if self.integral is not None and integral is not None:
             integral = self.integral(integral, e_seen, dt)
         wanted = e if integral is None else e + integral
-        bounds = self._rate_bounds(state.q_d, dt)
+        reference = ReferenceBounds.of(self.backbone.coordinates, self.bend_bound, self.elongation_bound)
+        bounds = None if reference is None else reference.rates(state.q_d, dt)
         driven = self._driven(q_bar, pi_hat, chain, shape, batch)
         qdot, limits = self._solve(state, measurement, target, *driven, wanted, dt, bounds)
         # Where nothing is known of the arm, or of the target, it is told to stay.
         aimed = torch.isfinite(qdot).all(-1) & torch.isfinite(e).all(-1)
         qdot = torch.where((aimed & valid).unsqueeze(-1), qdot, 0.0)
         wished = state.q_d + dt.unsqueeze(-1) * qdot
-        q_d = self._bounded(wished)
+        q_d = wished if reference is None else reference.held(wished)
         limits = torch.where(aimed, SolverStatus.FREE if limits is None else limits, SolverStatus.NOT_FINITE)
         if bounds is not None:
             held = ((qdot == bounds.lower) | (qdot == bounds.upper) | (q_d != wished)).any(-1)
@@ -251,7 +245,7 @@ class APCCController(Part):
                 chain=chain,
                 dq_dpi=dq_dpi,
             )
-            pi_hat, memories = self._adapted(pi_hat, dt, step, memories, valid)
+            pi_hat, memories = adapted(self.laws, self.bounds, step, memories, valid)
         y = self.tendons(q_d - self.reference_damping * qdot_bar, pi_hat)
         if self.pose_filter is not None and expected is not None:
             expected = self.pose_filter.moved(expected, self.backbone, inference.problem.points, q_bar, q_d - state.q_d)
@@ -268,18 +262,10 @@ class APCCController(Part):
         masks = measurement.mask, measurement.angular_mask
         if self.shape is None or state.shape is None:
             return None, self.feedback.infer(state.q_bar, state.pi_hat, T, *masks)
-        q = state.q_bar
-        pi_hat, problem = self.feedback.problem(q.shape[:-1], state.pi_hat, T, *masks)
-        batch = pi_hat.shape[:-1]
         y = measurement.tendons
         if y is None:
             y = self.tendons(state.q_d, state.pi_hat)
-        y = None if y is None else y.expand(*batch, y.shape[-1])
-        q = q.expand(*batch, q.shape[-1])
-        T = se3.pose(problem.rotation, problem.position)
-        oriented = torch.zeros_like(problem.oriented) if self.feedback.mode == "position" else problem.oriented
-        shape, q_bar = self.shape(state.shape, q, pi_hat, T, problem.usable, oriented, y, dt.expand(batch))
-        return shape, self.feedback.judged(q_bar, pi_hat, problem)
+        return self.shape.infer(self.feedback, state.shape, state.q_bar, state.pi_hat, T, *masks, y, dt)
 
     def _filtered(
         self, state: ControllerState, measurement: Measurement, dt: Tensor
@@ -324,25 +310,6 @@ class APCCController(Part):
         """
         return self.inverse_kinematics(chain.tip_jacobian(), e, target.xdot_d.expand_as(e), q, dt, bounds), None
 
-    def _adapted(
-        self, pi_hat: Tensor, dt: Tensor, step: LawStep, memories: tuple[Memory, ...], valid: Tensor
-    ) -> tuple[Tensor, tuple[Memory, ...]]:
-        """pi_hat (..., n_b) m after the step, and what the laws remember."""
-        speed, later = None, []
-        for law, memory in zip(self.laws, memories, strict=True):
-            own, memory = law.speed(step, memory)
-            speed = own if speed is None else speed + own
-            later.append(memory)
-        assert speed is not None  # there is a law
-        moved = pi_hat + dt.unsqueeze(-1) * speed
-        # A step that is not finite is not taken: one bad measurement must not lose what was learnt. Nor is one where
-        # there is no estimate to learn from.
-        moved = torch.where(torch.isfinite(moved) & valid.unsqueeze(-1), moved, pi_hat)
-        if self.bounds is not None:
-            metrics = (law.metric for law in self.laws)
-            moved = self.bounds(moved, next((metric for metric in metrics if metric is not None), None))
-        return moved, tuple(later)
-
     def regressor(
         self,
         q: Tensor,
@@ -360,23 +327,3 @@ class APCCController(Part):
         """Tendon length changes (..., n_a), m, that a configuration q (..., n) means; None without a routing."""
         lengths = self.driven_lengths(pi_hat)
         return None if self.routing is None else self.backbone.tendon_lengths(self.routing, q, lengths)
-
-    def _rate_bounds(self, q_d: Tensor, dt: Tensor) -> RateBounds | None:
-        """Bounds on qdot that keep q_d (..., n) within its own for dt (...); None where it has none.
-
-        What is beyond its bound already, as a start may be, is not pushed farther out.
-        """
-        if self.bend_bound is None and self.elongation_bound is None:
-            return None
-        bend, elongation = (torch.inf if b is None else b for b in (self.bend_bound, self.elongation_bound))
-        bound = self.backbone.coordinates.per_unit(bend, elongation, q_d.shape[-1], q_d)
-        step = dt.unsqueeze(-1).clamp(min=1e-6)
-        return RateBounds(((-bound - q_d) / step).clamp(max=0.0), ((bound - q_d) / step).clamp(min=0.0))
-
-    def _bounded(self, q_d: Tensor) -> Tensor:
-        if self.bend_bound is None and self.elongation_bound is None:
-            return q_d
-        coordinates = self.backbone.coordinates
-        bounds = {"rad": self.bend_bound, "m": self.elongation_bound}
-        entries = zip(coordinates.of_pattern(q_d).unbind(-1), coordinates.pattern, strict=True)
-        return torch.stack([within(entry, bounds[c.unit]) for entry, c in entries], dim=-1).flatten(-2)

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Iterable
 from typing import Any, NamedTuple, Self
 
+import torch
 from torch import Tensor
 
+from apcc_torch.control.length_bounds import LengthBounds
 from apcc_torch.estimation.feedback import Inference
 from apcc_torch.estimation.shape_feedback import ShapeFeedback
 from apcc_torch.estimation.state_feedback import StateFeedback
@@ -106,3 +109,29 @@ class LengthLaw(Part, ABC):
     @abstractmethod
     def speed(self, step: LawStep, memory: Memory) -> tuple[Tensor, Memory]:
         """pi_hat_dot (..., n_b), m/s, and what is remembered after this step; unchecked."""
+
+
+def adapted(
+    laws: Iterable[LengthLaw], bounds: LengthBounds | None, step: LawStep, memories: tuple[Memory, ...], valid: Tensor
+) -> tuple[Tensor, tuple[Memory, ...]]:
+    """pi_hat (..., n_b) m after a step of all laws within their bounds, and what each remembers.
+
+    Args:
+        laws: At least one.
+        bounds: Of pi_hat; None for none.
+        step: What is known.
+        memories: What each law remembered.
+        valid: (...) bool, rows that there is an estimate of.
+    """
+    speed, metric, later = None, None, []
+    for law, memory in zip(laws, memories, strict=True):
+        own, memory = law.speed(step, memory)
+        speed = own if speed is None else speed + own
+        metric = law.metric if metric is None else metric
+        later.append(memory)
+    assert speed is not None  # there is a law
+    moved = step.pi_hat + step.dt.unsqueeze(-1) * speed
+    # A step that is not finite is not taken: one bad measurement must not lose what was learnt. Nor is one where
+    # there is no estimate to learn from.
+    moved = torch.where(torch.isfinite(moved) & valid.unsqueeze(-1), moved, step.pi_hat)
+    return moved if bounds is None else bounds(moved, metric), tuple(later)

@@ -14,7 +14,8 @@ from apcc_torch.estimation.rest_calibration import RestCalibration
 from apcc_torch.estimation.savitzky_golay import SavitzkyGolay, SavitzkyGolaySettings
 from apcc_torch.estimation.sensor_gate import Reason, SensorGate, SensorGateSettings, gate_recording
 from apcc_torch.estimation.soft_window import SoftWindow
-from apcc_torch.estimation.state_feedback import StateFeedback, StateFeedbackSettings
+from apcc_torch.estimation.state_feedback import StateFeedback
+from apcc_torch.estimation.state_feedback_settings import StateFeedbackSettings
 from apcc_torch.estimation.weighted_estimate import EstimateStatus, weighted_estimate
 
 __all__ = [

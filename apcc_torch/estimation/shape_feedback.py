@@ -9,7 +9,10 @@ import torch
 from torch import Tensor
 
 from apcc_torch.estimation.arc_fit import ArcFit, ArcFitSettings
+from apcc_torch.estimation.feedback import Inference
 from apcc_torch.estimation.loaded_shape import LoadedShape, LoadedShapeSettings, ShapeState
+from apcc_torch.estimation.state_feedback import StateFeedback
+from apcc_torch.lie import se3
 from apcc_torch.model.arm import Arm
 from apcc_torch.model.kinematic_model import KinematicModel
 from apcc_torch.part import Part
@@ -100,6 +103,41 @@ class ShapeFeedback(Part):
         stretches = coordinates.on_elongations(torch.ones_like(pi_hat)) > 0.0
         q_bar = self.fit(torch.where(stretches, elongation, q_bar), pi_hat, points, share)
         return FollowedShape(shape, pi_hat + q_bar[..., coordinates.elongations]), q_bar
+
+    def start(self, q: Tensor, pi_hat: Tensor) -> tuple[FollowedShape, Tensor]:
+        """`initial_state`, and the strains that it begins with, for a first q_d (..., n) of the shape of q."""
+        state = self.initial_state(q, pi_hat)
+        strain = self.strain(state)
+        # Of one row for arms of many, as a compiler asks, only the form counts.
+        return state, strain if strain.shape == q.shape else q
+
+    def infer(
+        self,
+        feedback: StateFeedback,
+        state: FollowedShape,
+        q_bar: Tensor,
+        pi_hat: Tensor,
+        T: Tensor,
+        mask: Tensor | None,
+        angular_mask: Tensor | None,
+        y: Tensor | None,
+        dt: Tensor,
+    ) -> tuple[FollowedShape, Inference]:
+        """`forward` with what algorithm 2 takes, and what the sensors say of its q_bar; unchecked.
+
+        Args:
+            feedback: Says which sensors count, and judges.
+            state, q_bar, pi_hat, y, dt: As `forward` has them.
+            T, mask, angular_mask: As `StateFeedback.infer` has them.
+        """
+        pi_hat, problem = feedback.problem(q_bar.shape[:-1], pi_hat, T, mask, angular_mask)
+        batch = pi_hat.shape[:-1]
+        q_bar = q_bar.expand(*batch, q_bar.shape[-1])
+        y = None if y is None else y.expand(*batch, y.shape[-1])
+        T = se3.pose(problem.rotation, problem.position)
+        oriented = torch.zeros_like(problem.oriented) if feedback.mode == "position" else problem.oriented
+        state, q_bar = self(state, q_bar, pi_hat, T, problem.usable, oriented, y, dt.expand(batch))
+        return state, feedback.judged(q_bar, pi_hat, problem)
 
     def strain(self, state: FollowedShape) -> Tensor:
         """The bends and elongations of the arm's own sections, as a configuration (..., n) of the model."""

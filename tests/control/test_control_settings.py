@@ -17,7 +17,7 @@ from apcc_torch.control.task_integral import TaskIntegralSettings
 from apcc_torch.control.tasks import Task, TaskTarget
 from apcc_torch.errors import ConfigError, ValueRangeError
 from apcc_torch.estimation.pose_filter import PoseFilterSettings
-from apcc_torch.estimation.state_feedback import StateFeedbackSettings
+from apcc_torch.estimation.state_feedback_settings import StateFeedbackSettings
 from apcc_torch.model.abscissae import decouple
 from apcc_torch.model.affine import AffineBackbone
 from apcc_torch.model.arm import Arm
