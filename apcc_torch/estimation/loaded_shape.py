@@ -204,7 +204,8 @@ class LoadedShape(Part):
         """(..., n) of a section's strain before it is measured."""
         length = self.dynamics.lengths.to(strain).unflatten(-1, (-1, self.refine)).sum(-1)
         bend = torch.ones_like(length) * aligned(self.bend, 1)
-        return torch.stack((bend, bend, aligned(self.elongation, 1) * length), dim=-1).flatten(-2).expand_as(strain)
+        bend, elongation = torch.broadcast_tensors(bend, aligned(self.elongation, 1) * length)
+        return torch.stack((bend, bend, elongation), dim=-1).flatten(-2).expand_as(strain)
 
     def _sag(self, state: ShapeState) -> Tensor:
         own, each = state.sag.unbind(-2)
