@@ -411,6 +411,34 @@ def test_abscissae_may_differ_from_row_to_row() -> None:
     torch.testing.assert_close(together, alone, rtol=1e-9, atol=1e-12)
 
 
+def test_the_shape_of_arms_that_differ_from_row_to_row() -> None:
+    lengths = PI * rows(0.9, 1.0, 1.1).unsqueeze(-1)
+    sensors = lengths.cumsum(-1) * rows(0.8, 0.9, 1.0).unsqueeze(-1)
+    each = {
+        "mass": rows(0.3, 0.5, 0.2),
+        "bending_stiffness": rows(0.5, 0.8, 1.0),
+        "tendon_offset": rows(0.02, 0.025, 0.03),
+    }
+    q = 0.3 * randn(ROWS, 9) * rows(1.0, 1.0, 0.05).repeat(3)
+    T = PCCBackbone(3, HANGING_BASE).pose(q, PI, *decouple(SENSORS, PI))
+
+    def step(at: int | slice) -> list[Tensor]:
+        made = APCCController.for_arm(
+            Arm(lengths=lengths[at], sensors=sensors[at], **{name: value[at] for name, value in each.items()})
+        )
+        state, target = (
+            made.initial_state(0.9 * q[at], lengths[at]),
+            Target(q[at][..., :3], torch.zeros_like(q[at][..., :3])),
+        )
+        for time in (0.1, 0.2):
+            stamp = torch.full_like(q[at][..., 0], time)
+            state, command = made(state, Measurement(T[at], stamp), target)
+        return [command.y, state.q_bar, state.pi_hat, state.shape.shape.load]
+
+    alone = [torch.stack(values) for values in zip(*(step(i) for i in range(ROWS)), strict=True)]
+    torch.testing.assert_close(step(slice(None)), alone, rtol=1e-9, atol=1e-12)
+
+
 def test_what_the_null_space_prefers_may_differ_from_row_to_row() -> None:
     for name in ("null_weights", "null_bends"):
         sets = [rows(1.0, 0.5, 2.0), rows(0.1, 3.0, 0.0), rows(0.0, 0.2, 0.4)]
