@@ -15,6 +15,7 @@ from apcc_torch.control.composite_controller import CompositeController
 from apcc_torch.control.length_bounds import LengthBounds
 from apcc_torch.control.obstacles import Capsule, HalfSpace, Sphere
 from apcc_torch.control.pid import TendonPID
+from apcc_torch.control.shape_law import ShapeLaw
 from apcc_torch.control.task_controller import TaskController
 from apcc_torch.control.task_integral import TaskIntegral
 from apcc_torch.control.task_stack import TaskStack
@@ -44,6 +45,7 @@ from apcc_torch.simulation.kinematic import FeedbackLoop
 from apcc_torch.simulation.plant import Plant
 from apcc_torch.simulation.rod_plant import RodPlant
 from apcc_torch.simulation.sensors import PoseSensors
+from followed import along, fit, fitted, followed, hung, led, loaded
 from parts import (
     URDF,
     advanced,
@@ -208,6 +210,23 @@ CASES: dict[str, Case] = {
         lambda: {"abscissae": sensors()},
         lambda: {"iterations": 1, "step": 1.0},
     ),
+    "LoadedShape": Case(
+        loaded,
+        hung,
+        lambda: {
+            "abscissae": sensors(),
+            **scalars(position_noise=2e-3, angular_noise=0.03, tendon_noise=3e-3, bend=2.0, elongation=0.2),
+            **scalars(load=0.4, load_rate=0.2, sag_time=0.1),
+        },
+        lambda: {"load": 0.1, "tendon_noise": 1e-2},
+    ),
+    "ArcFit": Case(
+        fit,
+        fitted,
+        lambda: {"nominal": lengths(), **scalars(curve_noise=1e-3, length_prior=0.1)},
+        lambda: {"length_prior": 0.5},
+    ),
+    "ShapeFeedback": Case(followed, along, lambda: scalars(curve_noise=1e-3), lambda: {"length_prior": 0.5}),
     "InverseKinematics": Case(
         solver,
         solved,
@@ -230,6 +249,12 @@ CASES: dict[str, Case] = {
         law_step,
         lambda: {"gamma": eye(2)},
         lambda: {"normalisation": 1.0},
+    ),
+    "ShapeLaw": Case(
+        lambda **t: ShapeLaw(lengths(), feedback(), **t),
+        law_step,
+        lambda: scalars(time_constant=0.5),
+        lambda: {"time_constant": 0.2},
     ),
     "LengthBounds": Case(
         lambda **t: LengthBounds(**{"nominal": lengths(), "abscissae": sensors(), "reach": "last", **t}),
@@ -344,6 +369,9 @@ CASES: dict[str, Case] = {
         controlled,
         lambda: scalars(bend_bound=0.2, elongation_bound=1e-3),
         lambda: {"adaptive": False, "reference_damping": 0.1},
+    ),
+    "APCCController along the shape": Case(
+        led, controlled, lambda: scalars(time_constant=0.5), lambda: {"time_constant": 0.2}
     ),
     "TaskController": Case(
         lambda **t: controller(TaskController, tasks=[Task("orientation", 0.2, eye(3), level=1)], **t),

@@ -21,9 +21,12 @@ from apcc_torch.control.controller import APCCController
 from apcc_torch.control.inverse_kinematics import InverseKinematics
 from apcc_torch.control.length_bounds import LengthBounds
 from apcc_torch.control.pid import TendonPID, TendonPIDSettings
+from apcc_torch.control.shape_law import ShapeLaw
 from apcc_torch.control.task_controller import TaskController
 from apcc_torch.control.task_integral import TaskIntegral, TaskIntegralSettings
 from apcc_torch.errors import ConfigError
+from apcc_torch.estimation.arc_fit import ArcFit
+from apcc_torch.estimation.loaded_shape import LoadedShape, LoadedShapeSettings
 from apcc_torch.estimation.pose_filter import PoseFilter
 from apcc_torch.estimation.savitzky_golay import SavitzkyGolay
 from apcc_torch.estimation.sensor_gate import SensorGate
@@ -209,11 +212,13 @@ MAKE: dict[type[Part], Callable[..., Part]] = {
     AdaptiveLaw: lambda **s: AdaptiveLaw(3, **s),
     AffineBackbone: lambda **s: AffineBackbone(3, HANGING_BASE, **s),
     APCCController: controller,
+    ArcFit: lambda **s: ArcFit(PCCBackbone(3, HANGING_BASE), PI, **s),
     CompositeController: lambda **s: CompositeController(controller(), **s),
     ConstantStrainBackbone: lambda **s: ConstantStrainBackbone(3, HANGING_BASE, **s),
     Divergence: Divergence,
     InverseKinematics: lambda **s: InverseKinematics(n_sections=3, **s),
     LengthBounds: lambda **s: LengthBounds(PI, X, **s),
+    LoadedShape: lambda **s: LoadedShape.on(ARM, LoadedShapeSettings(**s)),
     NormalisedLaw: lambda **s: NormalisedLaw(3, **s),
     Plant: lambda **s: Plant(ARM.dynamics(), ARM.routing(), None, torch.zeros(2, dtype=D), PlantSettings(**s)),
     RodPlant: lambda **s: RodPlant.on(ARM, torch.zeros(2, dtype=D), RodPlantSettings(**s)),
@@ -221,6 +226,7 @@ MAKE: dict[type[Part], Callable[..., Part]] = {
     PoseSensors: PoseSensors,
     SavitzkyGolay: SavitzkyGolay,
     SensorGate: lambda **s: SensorGate(X, **s),
+    ShapeLaw: lambda **s: ShapeLaw(PI, feedback(), **s),
     StateFeedback: lambda **s: StateFeedback(PCCBackbone(3, HANGING_BASE), X, **s),
     TaskController: lambda **s: controller(TaskController, **s),
     TaskIntegral: TaskIntegral,

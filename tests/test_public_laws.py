@@ -15,6 +15,7 @@ from torch import Tensor
 from apcc_torch import (
     AdaptiveLaw,
     APCCController,
+    Arm,
     InverseKinematics,
     Measurement,
     PCCBackbone,
@@ -28,7 +29,10 @@ from apcc_torch import (
 )
 from apcc_torch.control.length_bounds import LengthBounds
 from apcc_torch.control.task_integral import TaskIntegral
+from apcc_torch.estimation.arc_fit import ArcFit
+from apcc_torch.estimation.loaded_shape import LoadedShape, LoadedShapeSettings
 from apcc_torch.estimation.pose_filter import PoseFilter, PoseFilterState
+from apcc_torch.estimation.shape_feedback import ShapeFeedback
 from apcc_torch.lie import se3
 from apcc_torch.model.abscissae import section_fractions
 from apcc_torch.simulation.metrics import mapping_error
@@ -88,6 +92,9 @@ def make(*kinds: str) -> MakeInputs:
             "points": lambda: normal((*shape, 11, 3), dtype, rng),
             "time": lambda: uniform(shape, 0.05, 0.1, dtype, rng),
             "payload": lambda: uniform(shape, 0.0, 0.5, dtype, rng),
+            "y": lambda: 1e-3 * normal((*shape, 9), dtype, rng),
+            "curve": lambda: BACKBONE.points(q, lengths, 7)[..., 1:, :].to(dtype),
+            "share": lambda: torch.linspace(1 / 6, 1.0, 6, dtype=dtype).expand(*shape, 6).clone(),
             "filter": lambda: filter_state(shape, dtype, rng),
             "state": lambda: controller_state(q, lengths, dtype, rng),
             "smooth_state": lambda: smooth_state(q, lengths, dtype, rng),
@@ -144,6 +151,32 @@ def control_step(of: APCCController) -> Op:
     return lambda state, T, time, tip, x_d, xdot_d: of(state, Measurement(T, time, tip=tip), Target(x_d, xdot_d))
 
 
+ARM = Arm(lengths=PI.tolist(), mass=0.3, sensors=SENSORS)
+
+
+def shape_feedback(dtype: torch.dtype) -> ShapeFeedback:
+    return ShapeFeedback(LoadedShape.on(ARM, LoadedShapeSettings()), ArcFit(BACKBONE, PI)).to(dtype)
+
+
+def led(dtype: torch.dtype) -> APCCController:
+    return APCCController.for_arm(ARM).to(dtype)
+
+
+def estimated(of: LoadedShape, strain: Tensor, T: Tensor, y: Tensor, dt: Tensor) -> Any:
+    state = of.initial_state(strain)
+    for _ in range(2):
+        state = of(state, T, *(torch.isfinite(T).all(-1).all(-1),) * 2, y, dt)
+    return state
+
+
+def followed(of: ShapeFeedback, q: Tensor, L0: Tensor, T: Tensor, y: Tensor, dt: Tensor) -> Any:
+    return of(of.initial_state(q, L0), q, L0, T, *(torch.isfinite(T).all(-1).all(-1),) * 2, y, dt)
+
+
+def step_along_the_shape(of: APCCController, q: Tensor, L0: Tensor, T: Tensor, time: Tensor, x: Tensor) -> Any:
+    return of(of.initial_state(q, L0), Measurement(T, time), Target(x, torch.zeros_like(x)))
+
+
 class Law(NamedTuple):
     """An operation, its inputs, which of them may be shared by the batch, and a factor on the tolerances."""
 
@@ -183,6 +216,16 @@ LAWS: dict[str, Law] = {
     "controller": Law(control_step(CONTROLLER), make("state", "T", "time", "x", "x", "x"), (1, 2, 3, 4, 5), 10.0),
     "smooth_controller": Law(
         control_step(SMOOTH_CONTROLLER), make("smooth_state", "T", "time", "x", "x", "x"), (1, 2, 3, 4, 5), 10.0
+    ),
+    "loaded_shape": Law(
+        per_dtype(lambda d: shape_feedback(d).shape, estimated), make("q_seed", "T", "y", "time"), (), 10.0
+    ),
+    "arc_fit": Law(
+        per_dtype(lambda d: shape_feedback(d).fit, ArcFit.__call__), make("q_seed", "L0", "curve", "share"), (), 10.0
+    ),
+    "shape_feedback": Law(per_dtype(shape_feedback, followed), make("q_seed", "L0", "T", "y", "time"), (), 10.0),
+    "controller_along_the_shape": Law(
+        per_dtype(led, step_along_the_shape), make("q_seed", "L0", "T", "time", "x"), (0, 1, 2, 3, 4), 10.0
     ),
     "tendon_fractions": Law(per_dtype(routing, TendonRouting.fractions), make("L0")),
     "tendon_matrix": Law(per_dtype(routing, TendonRouting.matrix), make("L0")),

@@ -12,7 +12,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from apcc_torch import APCCController, Arm, SoftArmDynamics, StateFeedback, decouple, shape_error
+from apcc_torch import AdaptiveLaw, APCCController, Arm, SoftArmDynamics, StateFeedback, decouple, shape_error
 from apcc_torch.annotations import numbers_in
 from apcc_torch.errors import ApccError
 from apcc_torch.lie import se3, so3
@@ -121,7 +121,7 @@ CALLS: dict[str, tuple[Callable[..., Any], dict[str, Tensor]]] = {
         CONTROLLER.inverse_kinematics,
         {"J": torch.ones(3, 6, dtype=D), "e": V, "xdot_d": V, "q": Q},
     ),
-    "law": (CONTROLLER.laws[0], {"pi_hat": LENGTHS, "Y": torch.ones(3, 2, dtype=D), "e": V, "dt": V[0]}),
+    "law": (AdaptiveLaw(2), {"pi_hat": LENGTHS, "Y": torch.ones(3, 2, dtype=D), "e": V, "dt": V[0]}),
     "initial_state": (CONTROLLER.initial_state, {"q": Q, "pi_hat": LENGTHS}),
     "tendons": (CONTROLLER.tendons, {"q": Q, "pi_hat": LENGTHS}),
     "matrix": (ROUTING.matrix, {"pi_hat": LENGTHS}),

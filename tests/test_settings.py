@@ -14,12 +14,16 @@ from apcc_torch.control.adaptation import AdaptiveLaw
 from apcc_torch.control.controller import APCCController
 from apcc_torch.control.inverse_kinematics import InverseKinematics
 from apcc_torch.control.pid import TendonPID, ramp
+from apcc_torch.control.shape_law import ShapeLaw, ShapeLawSettings
 from apcc_torch.control.step_io import Measurement, Target
 from apcc_torch.control.task_integral import TaskIntegral
 from apcc_torch.control.trajectory import SineTrajectory
 from apcc_torch.errors import ConfigError, ValueRangeError
+from apcc_torch.estimation.arc_fit import ArcFit
+from apcc_torch.estimation.loaded_shape import LoadedShape, LoadedShapeSettings
 from apcc_torch.estimation.pose_filter import PoseFilter
 from apcc_torch.estimation.savitzky_golay import SavitzkyGolay
+from apcc_torch.estimation.shape_feedback import ShapeFeedback
 from apcc_torch.estimation.state_feedback import StateFeedback
 from apcc_torch.lie import se3
 from apcc_torch.model.abscissae import decouple
@@ -221,6 +225,39 @@ def controlled(**settings: Any) -> Tensor:
     return made(made.initial_state(q, PI), Measurement(T, rows(0.1, 0.1, 0.1)), target)[1].q_d
 
 
+def hung(**settings: Any) -> Tensor:
+    made = LoadedShape.on(Arm(lengths=PI.tolist()), LoadedShapeSettings(**settings))
+    return followed(ShapeFeedback(made, ArcFit(PCCBackbone(3, HANGING_BASE), PI)))
+
+
+def fitted(**settings: Any) -> Tensor:
+    made = LoadedShape.on(Arm(lengths=PI.tolist()), LoadedShapeSettings())
+    return followed(ShapeFeedback(made, ArcFit(PCCBackbone(3, HANGING_BASE), PI, **settings)))
+
+
+def led(**settings: Any) -> Tensor:
+    law = ShapeLaw(PI, estimator(), **settings)
+    return followed(law.shape_feedback(Arm(lengths=PI.tolist()), PCCBackbone(3, HANGING_BASE)))
+
+
+def followed(of: ShapeFeedback) -> Tensor:
+    """q_bar and the load after two steps, of sensors and tendons that do not agree."""
+    q, dt, y = 0.3 * randn(ROWS, 9) * rows(1.0, 1.0, 0.05).repeat(3), rows(0.02, 0.03, 0.04), 2e-3 * randn(ROWS, 9)
+    T, counts = PCCBackbone(3, HANGING_BASE).pose(q, PI, *decouple(PI.cumsum(0), PI)), torch.ones(ROWS, 3).bool()
+    state, q_bar = of.initial_state(0.8 * q, PI.expand(ROWS, 3)), 0.8 * q
+    for _ in range(2):
+        state, q_bar = of(state, q_bar, PI.expand(ROWS, 3), T, counts, counts, y, dt)
+    return torch.cat((q_bar, state.shape.strain, state.shape.load.unsqueeze(-1)), dim=-1)
+
+
+def taken_over(**settings: Any) -> Tensor:
+    made = APCCController.for_arm(Arm(lengths=PI.tolist()), adaptation=ShapeLawSettings(**settings))
+    q = 0.3 * randn(ROWS, 9) * rows(1.0, 1.0, 0.05).repeat(3)
+    T = made.backbone.pose(q, PI, *decouple(PI.cumsum(0), PI))
+    target = Target(rows(0.2, 0.1, -0.5).expand(ROWS, 3), torch.zeros(ROWS, 3, dtype=torch.float64))
+    return made(made.initial_state(q, PI.expand(ROWS, 3)), Measurement(T, rows(0.1, 0.1, 0.1)), target)[0].pi_hat
+
+
 def moved(kind: type[Plant] = Plant, **settings: Any) -> Tensor:
     made = kind.on(Arm(lengths=[0.2, 0.25]), rows(0.0, 0.1, 0.3), kind.settings_type(refine=1, **settings))
     now = made.straight((ROWS,))
@@ -239,6 +276,18 @@ def happened(**settings: Any) -> Tensor:
     time = rows(1.0, 2.0, 6.0)
     return torch.cat((made.payload(rows(0.1, 0.2, 0.3), time).unsqueeze(-1), made.growth_at(time)), dim=-1)
 
+
+HUNG: dict[str, tuple[float, ...]] = {
+    "position_noise": (1e-4, 1e-3, 1e-2),
+    "angular_noise": (1e-3, 1e-2, 0.1),
+    "tendon_noise": (1e-4, 1e-3, 1e-2),
+    "bend": (0.1, 1.0, 9.0),
+    "elongation": (0.01, 0.1, 1.0),
+    "load": (0.01, 0.1, 1.0),
+    "load_rate": (0.01, 0.1, 1.0),
+    "sag_time": (0.1, 0.2, 9.0),
+}
+FITTED: dict[str, tuple[float, ...]] = {"curve_noise": (1e-4, 1e-3, 1e-2), "length_prior": (0.01, 0.1, 1.0)}
 
 USES: dict[tuple[type, Callable[..., Tensor]], dict[str, tuple[float, ...]]] = {
     (AdaptiveLaw, law): {
@@ -304,6 +353,12 @@ USES: dict[tuple[type, Callable[..., Tensor]], dict[str, tuple[float, ...]]] = {
         "bend_bound": (0.05, 0.1, 1.0),
         "elongation_bound": (1e-5, 1e-4, 1e-3),
     },
+    (LoadedShape, hung): HUNG,
+    (ArcFit, fitted): FITTED,
+    (ShapeLaw, led): {**HUNG, **FITTED},
+    (ShapeLaw, taken_over): {
+        "time_constant": (0.15, 0.3, 3.0),
+    },
     (Plant, moved): {
         "tendon_damping": (0.0, 50.0, 500.0),
         "backlash": (0.0, 1e-3, 9e-3),
@@ -354,6 +409,34 @@ def test_abscissae_may_differ_from_row_to_row() -> None:
     together = inferred(abscissae=torch.stack(sets))
     alone = torch.stack([inferred(abscissae=at)[i] for i, at in enumerate(sets)])
     torch.testing.assert_close(together, alone, rtol=1e-9, atol=1e-12)
+
+
+def test_the_shape_of_arms_that_differ_from_row_to_row() -> None:
+    lengths = PI * rows(0.9, 1.0, 1.1).unsqueeze(-1)
+    sensors = lengths.cumsum(-1) * rows(0.8, 0.9, 1.0).unsqueeze(-1)
+    each = {
+        "mass": rows(0.3, 0.5, 0.2),
+        "bending_stiffness": rows(0.5, 0.8, 1.0),
+        "tendon_offset": rows(0.02, 0.025, 0.03),
+    }
+    q = 0.3 * randn(ROWS, 9) * rows(1.0, 1.0, 0.05).repeat(3)
+    T = PCCBackbone(3, HANGING_BASE).pose(q, PI, *decouple(SENSORS, PI))
+
+    def step(at: int | slice) -> list[Tensor]:
+        made = APCCController.for_arm(
+            Arm(lengths=lengths[at], sensors=sensors[at], **{name: value[at] for name, value in each.items()})
+        )
+        state, target = (
+            made.initial_state(0.9 * q[at], lengths[at]),
+            Target(q[at][..., :3], torch.zeros_like(q[at][..., :3])),
+        )
+        for time in (0.1, 0.2):
+            stamp = torch.full_like(q[at][..., 0], time)
+            state, command = made(state, Measurement(T[at], stamp), target)
+        return [command.y, state.q_bar, state.pi_hat, state.shape.shape.load]
+
+    alone = [torch.stack(values) for values in zip(*(step(i) for i in range(ROWS)), strict=True)]
+    torch.testing.assert_close(step(slice(None)), alone, rtol=1e-9, atol=1e-12)
 
 
 def test_what_the_null_space_prefers_may_differ_from_row_to_row() -> None:

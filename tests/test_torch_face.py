@@ -21,6 +21,7 @@ from apcc_torch.modes import holds, known, none_left, values_of
 from apcc_torch.native.structure import rebuilt
 from apcc_torch.part import Part
 from every_class import subclasses
+from followed import begun, followed, led, seen
 from laws import leaves
 from part_cases import CASES
 from parts import (
@@ -223,6 +224,8 @@ STEPS: dict[str, tuple[Callable[[], Callable[..., Any]], Callable[..., tuple[Any
         lambda n: (backbone().tip_jacobian(q(n), lengths()), 0.1 * q(n)[:, :3], qdot(n)[:, :3], q(n)),
     ),
     "SoftArmDynamics": (dynamics, lambda n: (q(n), qdot(n), q(n))),
+    "ShapeFeedback": (followed, lambda n: (begun(followed(), n), *shaped(n), *seen(n))),
+    "the control step along the shape": (led, lambda n: arguments(led(), n)),
     "the control step": (
         lambda: controller(feedback=feedback(max_iterations=1, min_iterations=1)),
         lambda n: arguments(controller(), n),
@@ -303,7 +306,7 @@ def test_autocast_leaves_the_numbers_alone(name: str) -> None:
 @every_step
 def test_autocast_leaves_single_precision_alone(name: str) -> None:
     step, inputs = STEPS[name][0](), STEPS[name][1](3)
-    inputs = rebuilt(inputs, iter([leaf.float() for leaf in leaves(inputs)]))
+    inputs = rebuilt(inputs, iter([leaf.float() if leaf.is_floating_point() else leaf for leaf in leaves(inputs)]))
     part = getattr(step, "__self__", step).float()
     step = part if part is step else getattr(part, step.__name__)
     want = step(*inputs)

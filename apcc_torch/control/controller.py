@@ -28,6 +28,7 @@ from apcc_torch.model.kinematic_model import KinematicModel, Placed
 from apcc_torch.model.tendons import TendonRouting
 from apcc_torch.part import Part, part_of
 from apcc_torch.settings import Setting, resolved
+from apcc_torch.shapes import check_tensor
 
 
 class APCCController(Part):
@@ -291,7 +292,10 @@ class APCCController(Part):
 
     def driven_lengths(self, pi_hat: Tensor) -> Tensor:
         """The sections' lengths (..., n_b) m with which q_d is mapped to the tendons."""
-        return pi_hat if self.shape is None else self.shape.fit.nominal.to(pi_hat).expand_as(pi_hat)
+        if self.shape is None:
+            return pi_hat
+        check_tensor("pi_hat", pi_hat, (self.backbone.n_sections,))
+        return self.shape.fit.nominal.to(pi_hat).expand_as(pi_hat)
 
     def _solve(
         self,

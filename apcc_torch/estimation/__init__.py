@@ -2,30 +2,38 @@
 
 from __future__ import annotations
 
+from apcc_torch.estimation.arc_fit import ArcFit, ArcFitSettings
 from apcc_torch.estimation.best_fit import best_fit
 from apcc_torch.estimation.contact import ContactSearch
 from apcc_torch.estimation.external_force import BalanceNoise, ForceBalance, Posture, tare
 from apcc_torch.estimation.feedback import Feedback, FeedbackStatus
 from apcc_torch.estimation.feedback_covariance import feedback_covariance
 from apcc_torch.estimation.load_from_shape import LoadFromShape, ShapeNoise
+from apcc_torch.estimation.loaded_shape import LoadedShape, LoadedShapeSettings, ShapeState
 from apcc_torch.estimation.momentum_observer import MomentumObserver
 from apcc_torch.estimation.pose_filter import PoseFilter, PoseFilterSettings
 from apcc_torch.estimation.rest_calibration import RestCalibration
 from apcc_torch.estimation.savitzky_golay import SavitzkyGolay, SavitzkyGolaySettings
 from apcc_torch.estimation.sensor_gate import Reason, SensorGate, SensorGateSettings, gate_recording
+from apcc_torch.estimation.shape_feedback import FollowedShape, ShapeFeedback, ShapeFeedbackSettings
 from apcc_torch.estimation.soft_window import SoftWindow
 from apcc_torch.estimation.state_feedback import StateFeedback
 from apcc_torch.estimation.state_feedback_settings import StateFeedbackSettings
 from apcc_torch.estimation.weighted_estimate import EstimateStatus, weighted_estimate
 
 __all__ = [
+    "ArcFit",
+    "ArcFitSettings",
     "BalanceNoise",
     "ContactSearch",
     "EstimateStatus",
     "Feedback",
     "FeedbackStatus",
+    "FollowedShape",
     "ForceBalance",
     "LoadFromShape",
+    "LoadedShape",
+    "LoadedShapeSettings",
     "MomentumObserver",
     "PoseFilter",
     "PoseFilterSettings",
@@ -36,7 +44,10 @@ __all__ = [
     "SavitzkyGolaySettings",
     "SensorGate",
     "SensorGateSettings",
+    "ShapeFeedback",
+    "ShapeFeedbackSettings",
     "ShapeNoise",
+    "ShapeState",
     "SoftWindow",
     "StateFeedback",
     "StateFeedbackSettings",
