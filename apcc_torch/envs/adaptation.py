@@ -28,12 +28,11 @@ from apcc_torch.spread import ALONG
 DYNAMICS = ("kinematic", "dynamic")
 
 CONTROL: Mapping[str, Any] = {
-    "adaptation": NormalisedLawSettings(),  # Eq. (15): before its gamma below
+    "adaptation": NormalisedLawSettings(gamma=[ALONG, 9.0, 4.25, 3.5]),  # Eq. (15), a decade up section V-A's gains
     "mode": "position",  # the sensors tell no orientations
     "velocity": "commanded",
     "window": 3,  # of a filter that nothing reads then
     "order": 1,
-    "gamma": [ALONG, 9.0, 4.25, 3.5],  # a decade up they are section V-A's
     "bounds": {"lower": 0.6, "upper": 1.4, "reach": "last"},
 }
 """How the controller of an environment differs from the shipped one."""
@@ -68,7 +67,8 @@ class AdaptiveLoopSettings(ActionSettings):
     def control_settings(self) -> ControlSettings:
         """The controller's settings."""
         bounds = {"bend_bound": self.bend_bound, "elongation_bound": self.elongation_bound}
-        return ControlSettings().with_keys({**CONTROL, **BY_DYNAMICS[self.dynamics], **bounds, **self.control})
+        shipped = ControlSettings().with_keys({**CONTROL, **BY_DYNAMICS[self.dynamics]})
+        return shipped.with_keys({**bounds, **self.control})
 
 
 class AdaptiveLoop(Part):

@@ -82,7 +82,8 @@ def test_other_arms(arm: Arm, name: str, dynamics: str, action: str) -> None:
 def test_the_controller_brings_other_arms_to_their_targets(arm: Arm) -> None:
     envs = make("apcc/Reach-v0", 3, arm=arm, action="adaptation", max_episode_steps=None, control={"null_gain": 0.2})
     envs.reset(seed=0)
-    for _ in range(400):
+    # An estimate of five sections takes a detour along the exact sensitivity; errors fall to an eighth in 200 steps.
+    for _ in range(500):
         _, _, _, _, info = envs.step(torch.zeros(3, arm.n_sections))
     assert float(info["error"].max()) < 0.015
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from math import inf
 from typing import Any, Protocol, Self
 
@@ -106,8 +107,8 @@ class SimulatedArm:
         """The plant's step under torque, and the one without; built if they have to be, which may take a minute."""
         return self.plant.stepper(self.step, self.compile), self.limp.stepper(self.step, self.compile)
 
-    def begin(self, time: float, board: Board) -> None:
-        """Lets the arm settle on its stand, and puts the first knot and frame at `time`, s."""
+    def begin(self, now: Callable[[], float], board: Board) -> None:
+        """Lets the arm settle on its stand, and puts the first knot and frame at the time `now` gives after that, s."""
         # Here, as compiled code does not travel between processes.
         self.held, self.dragged = self.steppers()
         self.now = self.plant.settled(self.settle, self.step, self.compile)
@@ -115,9 +116,9 @@ class SimulatedArm:
         self.rate = torch.zeros_like(self.now.z)
         self.generator = torch.Generator().manual_seed(self.seed)
         self.sensor_state = self.sensors.initial_state(self._poses(self.now.arm.q))
-        self.time = self.next_frame = time
+        self.time = self.next_frame = now()
         self._put(board, self._tensions())
-        self._frames(board, self.now, time)
+        self._frames(board, self.now, self.time)
 
     def _poses(self, q: Tensor) -> Tensor:
         return self.plant.backbone.pose(q, self.plant.dynamics.lengths, self.X_tilde, self.j)

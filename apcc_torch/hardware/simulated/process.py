@@ -44,8 +44,7 @@ def serve(arm: SimulatedArm, memory: ctypes.Array[ctypes.c_byte], lock: Lock, ov
     parent = multiprocessing.parent_process()
     scratch = Board(board.memory.copy())
     with torch.inference_mode():
-        arm.begin(0.0, scratch)
-        arm.skip(time.monotonic())
+        arm.begin(time.monotonic, scratch)
         ready.send("ready")
         while not over.is_set() and (parent is None or parent.is_alive()):
             lead = arm.time - time.monotonic() - arm.step

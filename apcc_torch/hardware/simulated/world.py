@@ -114,7 +114,7 @@ class LockstepWorld(SimulatedWorld):
     def _begin(self) -> None:
         with torch.inference_mode():
             self.board = Board(np.zeros((), board_type(self.arm.n_tendons, self.arm.n_bodies, self.arm.n)))
-            self.arm.begin(self.clock.now(), self.board)
+            self.arm.begin(self.clock.now, self.board)
         self.virtual.followers.append(self._follow)
         self._follow(self.clock.now())
 
