@@ -28,7 +28,6 @@ from apcc_torch.model.kinematic_model import KinematicModel, Placed
 from apcc_torch.model.tendons import TendonRouting
 from apcc_torch.part import Part, part_of
 from apcc_torch.settings import Setting, resolved
-from apcc_torch.shapes import check_tensor
 
 
 class APCCController(Part):
@@ -292,10 +291,7 @@ class APCCController(Part):
 
     def driven_lengths(self, pi_hat: Tensor) -> Tensor:
         """The sections' lengths (..., n_b) m with which q_d is mapped to the tendons."""
-        if self.shape is None:
-            return pi_hat
-        check_tensor("pi_hat", pi_hat, (self.backbone.n_sections,))
-        return self.shape.fit.nominal.to(pi_hat).expand_as(pi_hat)
+        return pi_hat if self.shape is None else self.shape.driven_lengths(pi_hat)
 
     def _solve(
         self,

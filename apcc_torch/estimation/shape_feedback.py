@@ -16,6 +16,7 @@ from apcc_torch.lie import se3
 from apcc_torch.model.arm import Arm
 from apcc_torch.model.kinematic_model import KinematicModel
 from apcc_torch.part import Part
+from apcc_torch.shapes import check_tensor
 
 SAMPLES = 2
 """Points on each piece of the arm that the model is fitted to."""
@@ -144,6 +145,11 @@ class ShapeFeedback(Part):
         x, y, elongation = self.shape.strain(state.shape).unflatten(-1, (-1, 3)).unbind(-1)
         coordinates = self.fit.backbone.coordinates
         return coordinates.from_bends(x, y) + coordinates.on_elongations(elongation)
+
+    def driven_lengths(self, pi_hat: Tensor) -> Tensor:
+        """Rest lengths (..., n_b) m of the arm's own sections, of the shape of pi_hat."""
+        check_tensor("pi_hat", pi_hat, (self.shape.n_sections,))
+        return self.fit.nominal.to(pi_hat).expand_as(pi_hat)
 
     def curve(self, state: ShapeState) -> tuple[Tensor, Tensor]:
         """Points (..., N, 3) of the arm, m, `SAMPLES` on each piece, and their shares of its length (..., N)."""
