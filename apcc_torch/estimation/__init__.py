@@ -9,13 +9,13 @@ from apcc_torch.estimation.external_force import BalanceNoise, ForceBalance, Pos
 from apcc_torch.estimation.feedback import Feedback, FeedbackStatus
 from apcc_torch.estimation.feedback_covariance import feedback_covariance
 from apcc_torch.estimation.load_from_shape import LoadFromShape, ShapeNoise
-from apcc_torch.estimation.loaded_shape import LoadedShape, LoadedShapeSettings, ShapeState
+from apcc_torch.estimation.loaded_shape import LoadedShape, LoadedShapeSettings
 from apcc_torch.estimation.momentum_observer import MomentumObserver
 from apcc_torch.estimation.pose_filter import PoseFilter, PoseFilterSettings
 from apcc_torch.estimation.rest_calibration import RestCalibration
 from apcc_torch.estimation.savitzky_golay import SavitzkyGolay, SavitzkyGolaySettings
 from apcc_torch.estimation.sensor_gate import Reason, SensorGate, SensorGateSettings, gate_recording
-from apcc_torch.estimation.shape_feedback import FollowedShape, ShapeFeedback, ShapeFeedbackSettings
+from apcc_torch.estimation.shape_feedback import ShapeFeedback, ShapeFeedbackSettings
 from apcc_torch.estimation.soft_window import SoftWindow
 from apcc_torch.estimation.state_feedback import StateFeedback
 from apcc_torch.estimation.state_feedback_settings import StateFeedbackSettings
@@ -29,7 +29,6 @@ __all__ = [
     "EstimateStatus",
     "Feedback",
     "FeedbackStatus",
-    "FollowedShape",
     "ForceBalance",
     "LoadFromShape",
     "LoadedShape",
@@ -47,7 +46,6 @@ __all__ = [
     "ShapeFeedback",
     "ShapeFeedbackSettings",
     "ShapeNoise",
-    "ShapeState",
     "SoftWindow",
     "StateFeedback",
     "StateFeedbackSettings",
