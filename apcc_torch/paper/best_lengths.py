@@ -2,7 +2,8 @@
 
 For the shape it is the best fit of the model's sections to the true backbone. For what algorithm 2 makes of the
 sensors, Psi and the residuals, it is the best over the run's own rest lengths and a grid of others, each metric by
-itself: no law does better on this motion but for the grid's steps, and none does all of it at once.
+itself: no law beside it does better on this motion but for the grid's steps, and none does all of it at once. What
+follows the shape in its place, as `ShapeFeedback`, may.
 The grid holds lengths near the nominal ones, and any split of the arm that the sensors can tell.
 """
 
@@ -144,7 +145,7 @@ def _inferred(feedback: StateFeedback, q: Tensor, pi: Tensor, T: Tensor) -> tupl
 
 
 def limits(config: SimulateSettings, log: DynamicLog, arms: Arms) -> Limits:
-    """The limits of a run's motion, with the estimator that its settings name.
+    """The limits of a run's motion, with the algorithm 2 that its settings name.
 
     Args:
         config: The run's settings.
