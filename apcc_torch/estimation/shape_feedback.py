@@ -13,6 +13,7 @@ from apcc_torch.estimation.feedback import Inference
 from apcc_torch.estimation.loaded_shape import LoadedShape, LoadedShapeSettings, ShapeState
 from apcc_torch.estimation.state_feedback import StateFeedback
 from apcc_torch.lie import se3
+from apcc_torch.model.abscissae import MaterialPoints, located
 from apcc_torch.model.arm import Arm
 from apcc_torch.model.kinematic_model import KinematicModel
 from apcc_torch.part import Part
@@ -138,7 +139,9 @@ class ShapeFeedback(Part):
         T = se3.pose(problem.rotation, problem.position)
         oriented = torch.zeros_like(problem.oriented) if feedback.mode == "position" else problem.oriented
         state, q_bar = self(state, q_bar, pi_hat, T, problem.usable, oriented, y, dt.expand(batch))
-        return state, feedback.judged(q_bar, pi_hat, problem)
+        return state, feedback.judged(
+            q_bar, pi_hat, problem._replace(points=self.sensors_on(state.shape, q_bar, pi_hat))
+        )
 
     def strain(self, state: FollowedShape) -> Tensor:
         """The bends and elongations of the arm's own sections, as a configuration (..., n) of the model."""
@@ -150,6 +153,24 @@ class ShapeFeedback(Part):
         """Rest lengths (..., n_b) m of the arm's own sections, of the shape of pi_hat."""
         check_tensor("pi_hat", pi_hat, (self.shape.n_sections,))
         return self.fit.nominal.to(pi_hat).expand_as(pi_hat)
+
+    def sensors_on(self, state: ShapeState, q_bar: Tensor, pi_hat: Tensor) -> MaterialPoints:
+        """The sensors on the model: as far along it as they are along the arm.
+
+        Its sections are arcs along the shape, not the arm's material, so a rest length does not tell where a sensor is.
+        """
+        arm, model = self.shape, self.fit.backbone
+        q = arm.configuration(state)
+        rest = arm.dynamics.lengths.to(q)
+        rest = rest.expand(*q.shape[:-1], rest.shape[-1])
+        X = arm.abscissae.to(q)
+        X_tilde, piece = located(X.expand(*q.shape[:-1], X.shape[-1]), rest)
+        lengths = arm.backbone.section_lengths(q, rest)
+        ends = lengths.cumsum(-1)
+        along = torch.gather(ends, -1, piece) - (1.0 - X_tilde) * torch.gather(lengths, -1, piece)
+        sections = model.section_lengths(q_bar, pi_hat)
+        share = along / ends[..., -1:]
+        return model.material_points(pi_hat, *located(share * sections.sum(-1, keepdim=True), sections))
 
     def curve(self, state: ShapeState) -> tuple[Tensor, Tensor]:
         """Points (..., N, 3) of the arm, m, `SAMPLES` on each piece, and their shares of its length (..., N)."""

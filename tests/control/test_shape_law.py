@@ -115,3 +115,17 @@ def test_on_any_arm_it_is_nearer_than_the_nominal_lengths(name: str) -> None:
     assert law.shape_error[end].mean() < 0.85 * standard.shape_error[end].mean()
     assert law.psi[end].mean() < standard.psi[end].mean()
     assert law.e[-1].max() < 0.015
+
+
+def test_a_sensor_is_judged_where_it_is_along_the_arm() -> None:
+    controller, state, command, q, _ = held(ARM, 0.4, 200)
+    assert state.shape is not None
+    assert controller.shape is not None
+    X, pieces = ARM.sensor_places(), ARM.refined(2)
+    fine = PCCBackbone(6, ARM.base_rotation())
+    sensors = fine.pose(q, pieces, *decouple(X, pieces))[..., :3, 3]
+    # The same places by length along either curve, finely sampled.
+    along = fine.section_lengths(q, pieces)
+    share = torch.stack([along[: 2 * (i + 1)].sum() / along.sum() for i in range(3)])
+    model = controller.backbone.curve(state.q_bar.unsqueeze(0), state.pi_hat.unsqueeze(0), share)[0].mT
+    assert torch.allclose(command.feedback.linear_error, (model - sensors).norm(dim=-1), atol=2e-4)
