@@ -214,7 +214,7 @@ def pair_text(results: Mapping[str, Outcomes], about: Mapping[str, str]) -> str:
         "", "Means, minima and maxima are over all runs and moments; an edge over time is the least or largest of the",
         "runs, averaged over time. The limit is the least that any rest lengths could leave on the motion under the",
         "standard controller, each metric by itself; the own limit that on the motion under the adaptive controller,",
-        "which is another: a law that moves the arm may pass the first. Limits of Psi and of sensors are algorithm 2's:",
+        "which is another: a law that moves the arm may pass the first. Limits of Psi and sensors are algorithm 2's:",
         "a law that follows the shape may pass both. A diverged run stays in, and is counted.",
         *(f"[{i + 1}] {note}" for i, note in enumerate(notes)),
     ]  # fmt: skip
