@@ -51,7 +51,9 @@ def seen(*rows: int) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
 
 def hung(of: LoadedShape) -> Any:
     """The shape after steps from rest, of an arm that bears something."""
-    state = of.initial_state(0.9 * q())
+    rest = lengths()
+    none = torch.zeros_like(rest)
+    state = of.initial_state(0.9 * q() + torch.stack((none, none, rest), dim=-1).flatten(-2))
     for _ in range(3):
         state = of(state, *seen())
     return (*state, of.configuration(state))

@@ -163,7 +163,8 @@ def led(dtype: torch.dtype) -> APCCController:
 
 
 def estimated(of: LoadedShape, strain: Tensor, T: Tensor, y: Tensor, dt: Tensor) -> Any:
-    state = of.initial_state(strain)
+    rest = of.dynamics.lengths.to(strain).unflatten(-1, (-1, of.refine)).sum(-1)
+    state = of.initial_state(strain + torch.stack((0.0 * rest, 0.0 * rest, rest), dim=-1).flatten(-2))
     for _ in range(2):
         state = of(state, T, *(torch.isfinite(T).all(-1).all(-1),) * 2, y, dt)
     return state

@@ -247,7 +247,7 @@ def followed(of: ShapeFeedback) -> Tensor:
     state, q_bar = of.initial_state(0.8 * q, PI.expand(ROWS, 3)), 0.8 * q
     for _ in range(2):
         state, q_bar = of(state, q_bar, PI.expand(ROWS, 3), T, counts, counts, y, dt)
-    return torch.cat((q_bar, state.shape.strain, state.shape.load.unsqueeze(-1)), dim=-1)
+    return torch.cat((q_bar, state.shape.sections, state.shape.load.unsqueeze(-1)), dim=-1)
 
 
 def taken_over(**settings: Any) -> Tensor:
