@@ -17,7 +17,7 @@ from apcc_torch.errors import ConfigError
 from apcc_torch.modes import full_precision
 from apcc_torch.settings import Kind, Settings, about_of, default_of, told
 
-_TRAILING = {"": 0, "number": 0, "sections": 1, "points": 1, "gain": 2, "task": 2, "lists": 1}
+_TRAILING = {"": 0, "number": 0, "sections": 1, "points": 1, "gain": 2, "task": 2}
 """How many dimensions of a setting that may differ from row to row are not rows'."""
 _BOOKKEEPING = frozenset({*vars(nn.Module()), "trailing_dimensions"})
 """What a module keeps for itself."""

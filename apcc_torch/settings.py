@@ -40,7 +40,7 @@ class About(NamedTuple):
 
     unit: SI, "" for none. source: `PAPER` or `OURS`. meaning: One line, no full stop.
     rows: How it may differ from row to row: "" not at all; "number"; "gain", a matrix for the tip ("task") or the
-        sections; "sections", one a section; "points" and "lists", lists of lists.
+        sections; "sections", one a section; "points", a list of lists.
     apart: Whether zero is no number like others, so that rows with and without it share no batch.
     above, least, below, most: Range of every number in it, open and closed at the lower and at the upper end.
     infinite: Whether a number in it may be infinite; else all are finite, with a range or without.

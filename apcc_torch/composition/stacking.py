@@ -55,8 +55,7 @@ def stacked(configs: Sequence[SimulateSettings]) -> SimulateSettings:
             tensors = [_tensor(path, about, each, first.arm.n_sections) for each in values]
             rows = torch.stack(tensors).to(device)
             rows = rows if rows.dtype == torch.int64 else rows.to(dtype)
-            whole = about.rows == "points" or (about.rows == "lists" and rows.dim() == 3)
-            changes[path] = rows if whole else rows.unsqueeze(1)
+            changes[path] = rows if about.rows == "points" else rows.unsqueeze(1)
     return _replaced(first, changes)
 
 

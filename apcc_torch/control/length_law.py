@@ -46,12 +46,6 @@ class LawStep(NamedTuple):
     chain: Placed
     dq_dpi: Tensor | None
 
-    def complete(self, oriented: bool) -> Tensor:
-        """(...) bool, rows all of whose sensors count, with `oriented` their orientations too."""
-        problem = self.inference.problem
-        complete = problem.usable.all(-1)
-        return complete & problem.oriented.all(-1) if oriented else complete
-
 
 class LengthLaw(Part, ABC):
     """A law of the rest lengths pi_hat. The controller adds up the speeds of its laws, and bounds the sum.

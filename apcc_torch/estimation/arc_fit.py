@@ -104,6 +104,5 @@ class ArcFit(Part):
         step = solve_spd(H, g.unsqueeze(-1)).squeeze(-1)
         step = step / (step.abs().amax(-1, keepdim=True) / LARGEST_STEP).clamp(min=1.0)
         moved = q + torch.where(torch.isfinite(step).all(-1, keepdim=True), step, 0.0)
-        lowest = backbone.coordinates.on_elongations(SHORTEST * nominal - pi_hat)
-        bounded = backbone.coordinates.on_elongations(torch.ones_like(pi_hat)) > 0.0
-        return torch.where(bounded, torch.maximum(moved, lowest), moved)
+        free = torch.full_like(moved, -torch.inf)
+        return torch.maximum(moved, backbone.coordinates.with_elongations(free, SHORTEST * nominal - pi_hat))

@@ -21,9 +21,8 @@ from torch import Tensor
 from apcc_torch.errors import ConfigError
 from apcc_torch.lie import so3
 from apcc_torch.linalg import solve_spd
-from apcc_torch.model.abscissae import MaterialPoints, located
+from apcc_torch.model.abscissae import located
 from apcc_torch.model.arm import Arm
-from apcc_torch.model.backbone import PCCBackbone
 from apcc_torch.model.dynamics import SoftArmDynamics
 from apcc_torch.model.tendons import TendonRouting
 from apcc_torch.part import Part, hold_rows
@@ -122,7 +121,7 @@ class LoadedShape(Part):
         if dynamics.n_sections % s.refine:
             raise ConfigError(f"dynamics must have {s.refine} pieces a section, got {dynamics.n_sections} pieces")
         self.dynamics = dynamics
-        self.backbone = PCCBackbone(dynamics.n_sections, dynamics.base_rotation)
+        self.backbone = dynamics.kinematics()
         self.n_sections = dynamics.n_sections // s.refine
         hold_rows(self, abscissae=(abscissae, 1), B=(routing.matrix(dynamics.lengths), 2))
         self.hold(s)
@@ -236,7 +235,7 @@ class LoadedShape(Part):
     ) -> tuple[Tensor, Tensor]:
         """What the measurements leave (..., m), over its standard deviation, and its derivative (..., m, n + 1)."""
         q = self.configuration(state)
-        chain = self.backbone.chain_to(q, self.points(q))
+        chain = self.backbone.chain_to(q, self.backbone.material_points(self.pieces(q), *self.sensors_at(q)))
         into_body = chain.rotation.mT
         offset = torch.where(usable.unsqueeze(-1), T[..., :3, 3] - chain.tip, 0.0)
         turn = into_body @ torch.where(oriented[..., None, None], T[..., :3, :3], chain.rotation)
@@ -262,9 +261,19 @@ class LoadedShape(Part):
             torch.cat((J, row * scale.unsqueeze(-1)), dim=-2),
         )
 
-    def points(self, like: Tensor) -> MaterialPoints:
-        """The sensors on the arm's pieces, of the leading shape of `like`."""
-        lengths = self.dynamics.lengths.to(like)
-        lengths = lengths.expand(*like.shape[:-1], lengths.shape[-1])
-        X = self.abscissae.to(like)
-        return self.backbone.material_points(lengths, *located(X.expand(*like.shape[:-1], X.shape[-1]), lengths))
+    def pieces(self, q: Tensor) -> Tensor:
+        """(..., n_p) rest lengths of the arm's pieces, m, of the leading shape of q."""
+        lengths = self.dynamics.lengths.to(q)
+        return lengths.expand(*q.shape[:-1], lengths.shape[-1])
+
+    def sensors_at(self, q: Tensor) -> tuple[Tensor, Tensor]:
+        """Normalised abscissa and piece (..., k) of the sensors, of the leading shape of q."""
+        X = self.abscissae.to(q)
+        return located(X.expand(*q.shape[:-1], X.shape[-1]), self.pieces(q))
+
+    def share(self, q: Tensor, X_tilde: Tensor, piece: Tensor) -> Tensor:
+        """How far along the arm material points (..., k) of its pieces lie, over its length, at q (..., n_f)."""
+        lengths = self.backbone.section_lengths(q, self.pieces(q))
+        ends = lengths.cumsum(-1)
+        along = torch.gather(ends - lengths, -1, piece) + X_tilde * torch.gather(lengths, -1, piece)
+        return along / ends[..., -1:]

@@ -101,9 +101,8 @@ class ShapeFeedback(Part):
         shape = self.shape(state.shape, T, usable, oriented, y, dt)
         points, share = self.curve(shape)
         coordinates = self.fit.backbone.coordinates
-        elongation = coordinates.on_elongations(state.lengths - pi_hat)  # rest lengths may have moved since
-        stretches = coordinates.on_elongations(torch.ones_like(pi_hat)) > 0.0
-        q_bar = self.fit(torch.where(stretches, elongation, q_bar), pi_hat, points, share)
+        q_bar = coordinates.with_elongations(q_bar, state.lengths - pi_hat)  # rest lengths may have moved since
+        q_bar = self.fit(q_bar, pi_hat, points, share)
         return FollowedShape(shape, pi_hat + q_bar[..., coordinates.elongations]), q_bar
 
     def start(self, q: Tensor, pi_hat: Tensor) -> tuple[FollowedShape, Tensor]:
@@ -161,28 +160,16 @@ class ShapeFeedback(Part):
         """
         arm, model = self.shape, self.fit.backbone
         q = arm.configuration(state)
-        rest = arm.dynamics.lengths.to(q)
-        rest = rest.expand(*q.shape[:-1], rest.shape[-1])
-        X = arm.abscissae.to(q)
-        X_tilde, piece = located(X.expand(*q.shape[:-1], X.shape[-1]), rest)
-        lengths = arm.backbone.section_lengths(q, rest)
-        ends = lengths.cumsum(-1)
-        along = torch.gather(ends, -1, piece) - (1.0 - X_tilde) * torch.gather(lengths, -1, piece)
+        share = arm.share(q, *arm.sensors_at(q))
         sections = model.section_lengths(q_bar, pi_hat)
-        share = along / ends[..., -1:]
         return model.material_points(pi_hat, *located(share * sections.sum(-1, keepdim=True), sections))
 
     def curve(self, state: ShapeState) -> tuple[Tensor, Tensor]:
         """Points (..., N, 3) of the arm, m, `SAMPLES` on each piece, and their shares of its length (..., N)."""
         q, arm = self.shape.configuration(state), self.shape.backbone
-        rest = self.shape.dynamics.lengths.to(q)
-        rest = rest.expand(*q.shape[:-1], rest.shape[-1])
         part = torch.arange(1, SAMPLES + 1, device=q.device, dtype=q.dtype) / SAMPLES
         X_tilde = part.repeat(arm.n_sections).expand(*q.shape[:-1], -1)
         piece = torch.arange(arm.n_sections, device=q.device).unsqueeze(-1).expand(-1, SAMPLES).flatten()
         piece = piece.expand(X_tilde.shape)
-        chain = arm.chain_to(q, arm.material_points(rest, X_tilde, piece))
-        lengths = arm.section_lengths(q, rest)
-        along = lengths.cumsum(-1)
-        share = (along - lengths).unsqueeze(-1) + lengths.unsqueeze(-1) * part
-        return chain.tip, share.flatten(-2) / along[..., -1:]
+        chain = arm.chain_to(q, arm.material_points(self.shape.pieces(q), X_tilde, piece))
+        return chain.tip, self.shape.share(q, X_tilde, piece)

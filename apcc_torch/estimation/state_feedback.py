@@ -235,8 +235,8 @@ class StateFeedback(Part):
     def _lowest(self, pi_hat: Tensor) -> Tensor:
         """The lowest q (..., n): sections keep a share of their rest length, and nothing else is bounded."""
         coordinates = self.backbone.coordinates
-        bounded = coordinates.on_elongations(torch.ones_like(pi_hat)) > 0.0
-        return torch.where(bounded, coordinates.on_elongations((SHORTEST - 1.0) * pi_hat), -torch.inf)
+        free = torch.full_like(coordinates.on_elongations(pi_hat), -torch.inf)
+        return coordinates.with_elongations(free, (SHORTEST - 1.0) * pi_hat)
 
     def sensitivity(
         self,

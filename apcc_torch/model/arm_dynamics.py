@@ -11,7 +11,7 @@ from torch import Tensor, nn
 from apcc_torch.errors import ValueRangeError
 from apcc_torch.model.equation_of_motion import Energy, EquationOfMotion
 from apcc_torch.model.kinematic_model import KinematicModel
-from apcc_torch.model.loads import Payload
+from apcc_torch.model.loads import Loads, Payload
 from apcc_torch.modes import holds
 from apcc_torch.part import Part, hold_rows
 from apcc_torch.shapes import batch_shape, check_finite, check_positive, check_same, check_tensor
@@ -165,6 +165,15 @@ class ArmDynamics(Part, ABC):
     @abstractmethod
     def energy(self, q: Tensor, qdot: Tensor, payload: Payload = None) -> Energy:
         """Kinetic and potential energy, J; see `Energy`. Heights are measured from the world origin."""
+
+    def checked(self, payload: Payload, loads: Loads | None = None, **coordinates: Tensor) -> torch.Size:
+        """The leading shape of the arm, its coordinates (..., n) and what it bears; raises where they do not fit."""
+        given = {name: (check_tensor(name, value, (self.n,)), 1) for name, value in coordinates.items()}
+        if loads is not None:
+            given |= loads.checked(self.n_sections)
+        same = {name: value for name, (value, _) in given.items()}
+        check_same(lengths=self.lengths, **same, **({"payload": payload} if isinstance(payload, Tensor) else {}))
+        return self.batch_of(payload, **given)
 
     def batch_of(self, payload: Payload, **tensors: tuple[Tensor, int]) -> torch.Size:
         """The leading shape of the arm's parameters with a payload and tensors; raises where they do not broadcast."""

@@ -122,6 +122,11 @@ class Coordinates:
         """(..., n) with values (..., n_b) at the elongations and zero elsewhere."""
         return self._spread(values, lambda c: c.stretches)
 
+    def with_elongations(self, q: Tensor, values: Tensor) -> Tensor:
+        """q (..., n) with values (..., n_b) in place of its elongations."""
+        places = self.on_elongations(torch.ones_like(values)) > 0.0
+        return torch.where(places, self.on_elongations(values), q)
+
     def on_bends(self, values: Tensor) -> Tensor:
         """(..., n) with values (..., n_b) at the bends of their sections and zero elsewhere."""
         return self._spread(values, lambda c: c in (BEND_X, BEND_Y))

@@ -19,7 +19,7 @@ from apcc_torch.model.equation_of_motion import Energy, EquationOfMotion
 from apcc_torch.model.inertia import ArmShape, Bending, arm_shape, bending, mass_points, moments, own_momentum
 from apcc_torch.model.loads import Loads, Payload, carried_wrench, distributed_load, front
 from apcc_torch.model.velocity_accelerations import accelerations, generalized_force, rates
-from apcc_torch.shapes import check_same, check_tensor
+from apcc_torch.shapes import check_tensor
 
 
 class SoftArmDynamics(ArmDynamics):
@@ -239,14 +239,8 @@ class SoftArmDynamics(ArmDynamics):
         self, payload: Payload, loads: Loads | None = None, **coordinates: Tensor
     ) -> tuple[list[Tensor], Tensor]:
         """Coordinates and point masses in the layout of `inertia`: (component, *batch) and (K, n_b, *batch)."""
-        n = 3 * self.n_sections
-        given = {name: (check_tensor(name, value, (n,)), 1) for name, value in coordinates.items()}
-        if loads is not None:
-            given |= loads.checked(self.n_sections)
-        same = {name: value for name, (value, _) in given.items()}
-        check_same(lengths=self.lengths, **same, **({"payload": payload} if isinstance(payload, Tensor) else {}))
-        batch = self.batch_of(payload, **given)
-        values = [v.expand(*batch, n).movedim(-1, 0).contiguous() for v in coordinates.values()]
+        batch = self.checked(payload, loads, **coordinates)
+        values = [v.expand(*batch, self.n).movedim(-1, 0).contiguous() for v in coordinates.values()]
         dims = len(batch)
         masses = front(self.weights, 1, dims + 1) * front(self.masses, 1, dims)
         if payload is not None:

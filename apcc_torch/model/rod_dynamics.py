@@ -29,7 +29,7 @@ from apcc_torch.model.strain_chain import StrainChain
 from apcc_torch.modes import full_precision
 from apcc_torch.part import hold_numbers, refuse_parameter
 from apcc_torch.settings import Setting, aligned, check_setting
-from apcc_torch.shapes import check_same, check_tensor
+from apcc_torch.shapes import check_tensor
 
 
 class _Bodies(NamedTuple):
@@ -205,12 +205,7 @@ class RodDynamics(ArmDynamics):
         self, payload: Payload, loads: Loads | None = None, **coordinates: Tensor
     ) -> tuple[_Bodies, list[Tensor]]:
         """The rigid bodies at q, and the coordinates, of the leading shape of everything."""
-        given = {name: (check_tensor(name, value, (self.n,)), 1) for name, value in coordinates.items()}
-        if loads is not None:
-            given |= loads.checked(self.n_sections)
-        same = {name: value for name, (value, _) in given.items()}
-        check_same(lengths=self.lengths, **same, **({"payload": payload} if isinstance(payload, Tensor) else {}))
-        batch = self.batch_of(payload, **given)
+        batch = self.checked(payload, loads, **coordinates)
         values = [value.expand(*batch, self.n) for value in coordinates.values()]
         chain = self.backbone.chain(values[0], self.lengths)
         masses = _at_ends(self.masses).expand(*batch, self.n_sections)

@@ -175,9 +175,9 @@ class ClosedLoop(Part):
         """
         plant, arm = self.plant, now.plant
         sensors, seen, mask = self.sensors.read(now.sensors, self.poses(arm.arm.q), draws)
-        target = self.trajectory(time)
+        target, lengths = self.trajectory(time), plant.lengths(arm.arm.q)
         state, command = self.controller(
-            now.controller, Measurement(seen, time, mask, forces=now.u, tendons=plant.lengths(arm.arm.q)), target
+            now.controller, Measurement(seen, time, mask, forces=now.u, tendons=lengths), target
         )
         y = command.y
         assert y is not None  # the controller has a routing
@@ -195,7 +195,7 @@ class ClosedLoop(Part):
             feedback.angular_error,
             feedback.linear_error,
             feedback.status,
-            plant.lengths(arm.arm.q),
+            lengths,
             now.y,
             u,
         )
