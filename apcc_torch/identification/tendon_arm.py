@@ -15,7 +15,7 @@ from torch import Tensor
 
 from apcc_torch.identification.parameters import Values
 from apcc_torch.lie import so3
-from apcc_torch.model.abscissae import decouple
+from apcc_torch.model.abscissae import decouple, whole
 from apcc_torch.model.arc import arc_geometry
 from apcc_torch.model.arm import Arm
 from apcc_torch.model.backbone import PCCBackbone
@@ -68,12 +68,12 @@ class TendonArm:
         self.kinematic = kinematic
         lengths = arm.rest_lengths()
         self.backbone = PCCBackbone(arm.n_sections, torch.eye(3, dtype=lengths.dtype))
-        self.fractions = _whole(arm.routing().fractions(lengths))
+        self.fractions = arm.routing().fractions(lengths)
         self.inputs = list(arm.actuation.driving(arm.n_tendons))
         self.pulls = spread("pulls", arm.actuation.pulls, arm.n_tendons)
         self.masses = arm.section_masses()
         X_tilde, self.section = decouple(arm.sensor_places(), lengths)
-        self.X_tilde = _whole(X_tilde)
+        self.X_tilde = whole(X_tilde)
         self.at_tips = bool((self.X_tilde == 1.0).all())
         points, weights = zip(*_NODES, strict=True)
         self._nodes, self._weights = (torch.tensor(numbers, dtype=lengths.dtype) for numbers in (points, weights))
@@ -243,9 +243,3 @@ class TendonArm:
 def _energy(force: Tensor, K: Tensor) -> Tensor:
     """Elastic energy (N,) that generalized forces (N, n) would store, J, twice."""
     return (force * force / K).sum(-1)
-
-
-def _whole(share: Tensor) -> Tensor:
-    """Shares of sections, those that only rounding keeps from all or nothing made exact."""
-    near = share.round()
-    return torch.where((share - near).abs() < 1e-9, near, share)

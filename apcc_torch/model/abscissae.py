@@ -9,6 +9,9 @@ from torch import Tensor
 
 from apcc_torch.shapes import batch_shape, check_same, check_tensor
 
+_ROUNDING = 64.0
+"""Units in the last place within which a point is at a section's end."""
+
 
 class MaterialPoints(NamedTuple):
     """Where k material points lie on an arm, whatever its configuration.
@@ -34,7 +37,7 @@ class MaterialPoints(NamedTuple):
         Eq. (25) differentiated: -1 / pi_j before section j, -X_tilde / pi_j in it; 0 once clamped. The last sensor
         often sits at the arm's very end, where bounds put it up to rounding: that counts as inside.
         """
-        end = L0.cumsum(-1)[..., -1:] * (1.0 + 64.0 * torch.finfo(L0.dtype).eps)
+        end = L0.cumsum(-1)[..., -1:] * (1.0 + _ROUNDING * torch.finfo(L0.dtype).eps)
         inside = (end >= X).to(L0.dtype) / torch.gather(L0, -1, self.section)
         return -self.fraction * inside.unsqueeze(-1)
 
@@ -79,12 +82,20 @@ def decouple(X: Tensor, pi_hat: Tensor) -> tuple[Tensor, Tensor]:
 def located(X: Tensor, pi_hat: Tensor) -> tuple[Tensor, Tensor]:
     """`decouple` for tensors (..., k) and (..., n_b) of one dtype and the same leading dimensions, unchecked."""
     upper = pi_hat.cumsum(-1)  # Eq. (23)
-    # Eq. (24): the first section whose end is not before X, counted as the number of ends before X.
-    j = (upper.unsqueeze(-2) < X.unsqueeze(-1)).sum(-1).clamp(max=pi_hat.shape[-1] - 1)
+    # Eq. (24): the first section whose end is not before X, but for rounding, counted as the number of ends before X.
+    end = upper * (1.0 + _ROUNDING * torch.finfo(X.dtype).eps)
+    j = (end.unsqueeze(-2) < X.unsqueeze(-1)).sum(-1).clamp(max=pi_hat.shape[-1] - 1)
     length = torch.gather(pi_hat, -1, j)
     lower = torch.gather(upper, -1, j) - length
     X_tilde = ((X - lower) / length).clamp(0.0, 1.0)  # Eq. (25); the clamp is remark 3
-    return X_tilde, j
+    return whole(X_tilde), j
+
+
+def whole(share: Tensor) -> Tensor:
+    """Shares of a section, with what is none or all of it up to rounding made so; the derivative stays."""
+    off = (share > 0.5).to(share.dtype) - share
+    near = off.abs() < _ROUNDING * torch.finfo(share.dtype).eps
+    return share + torch.where(near, off, 0.0).detach()
 
 
 def section_fractions(X_tilde: Tensor, j: Tensor, n_sections: int) -> Tensor:

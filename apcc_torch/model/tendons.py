@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from apcc_torch.errors import ConfigError, ShapeError
+from apcc_torch.model.abscissae import whole
 from apcc_torch.part import Part, hold_rows, refuse_parameter
 from apcc_torch.shapes import check_finite, check_positive, check_same, check_tensor
 
@@ -84,7 +85,7 @@ class TendonRouting(Part):
         begin = (torch.cumsum(pi_hat, dim=-1) - pi_hat).unsqueeze(-1)
         length = pi_hat.unsqueeze(-1)
         reached = ((self.anchors.unsqueeze(-2) - begin) / length).clamp(0.0, 1.0)
-        return ((self.starts.unsqueeze(-2) - begin) / length).clamp(0.0, 1.0), reached
+        return whole(((self.starts.unsqueeze(-2) - begin) / length).clamp(0.0, 1.0)), whole(reached)
 
     def fractions(self, pi_hat: Tensor) -> Tensor:
         """Share of each section that each tendon traverses (..., n_b, n_a), in [0, 1]; see `limits`."""

@@ -62,14 +62,14 @@ def widest_vector(compiler_path: str) -> int:
     return 16
 
 
-def library_name(name: str) -> str:
-    """The file name of a library, for this compiler and machine.
+def kept_name(name: str, ending: str) -> str:
+    """The file name of what is kept under a name, for this compiler and machine.
 
     Raises:
         CompileError: There is no compiler: nothing tells then for which machine a library was built.
     """
     told = f"{target(compiler())}{flags(1)}{flags(2)}"
-    return f"{name}-{hashlib.sha256(told.encode()).hexdigest()[:16]}.so"
+    return f"{name}-{hashlib.sha256(told.encode()).hexdigest()[:16]}.{ending}"
 
 
 def built(source: Source, name: str) -> Path:
@@ -81,7 +81,7 @@ def built(source: Source, name: str) -> Path:
     home = private_folder()
     try:
         with tempfile.TemporaryDirectory(dir=home) as folder:
-            return keep(_compile(compiler(), source, Path(folder)), name)
+            return keep(_compile(compiler(), source, Path(folder)).read_bytes(), name)
     except OSError as error:
         raise CompileError(f"machine code cannot be built in {home}: {error.strerror or error}") from error
 

@@ -86,7 +86,7 @@ def compiled(
     if mode in ("aot", "auto"):
         try:
             function = NativeFunction(module, example, carries)
-            function.entry(function.lanes(rows))
+            function.program(function.lanes(rows))
             return function
         except CompileError as error:
             if mode == "aot":

@@ -29,7 +29,8 @@ template <class T> static inline void store_bool(T* to, long stride, int n, cons
     }
 }
 
-static void blocks(long first, long last, long rows, long repeats, void** inputs, const long* stride, void** outputs) {
+static void blocks(long first, long last, long rows, long repeats, const REAL* numbers, void** inputs,
+                   const long* stride, void** outputs) {
     Inputs in;
     Scratch s;
     Outputs out;
@@ -46,13 +47,14 @@ static void blocks(long first, long last, long rows, long repeats, void** inputs
     }
 }
 
-extern "C" void run(long rows, long repeats, int threads, void** inputs, const long* stride, void** outputs) {
+extern "C" void run(long rows, long repeats, int threads, const REAL* numbers, void** inputs, const long* stride,
+                    void** outputs) {
     const long count = (rows + LANES - 1) / LANES;
     if (threads > count) threads = (int)count;
     std::vector<std::thread> others;
     for (int t = 1; t < threads; ++t)
-        others.emplace_back(blocks, count * t / threads, count * (t + 1) / threads, rows, repeats, inputs, stride,
-                            outputs);
-    blocks(0, threads > 1 ? count / threads : count, rows, repeats, inputs, stride, outputs);
+        others.emplace_back(blocks, count * t / threads, count * (t + 1) / threads, rows, repeats, numbers, inputs,
+                            stride, outputs);
+    blocks(0, threads > 1 ? count / threads : count, rows, repeats, numbers, inputs, stride, outputs);
     for (auto& thread : others) thread.join();
 }

@@ -45,7 +45,7 @@ def driver(trace: Trace, parts: int, carried: list[tuple[int, int]]) -> str:
         array = ARRAY[kind]
         carry.append(f"std::memcpy(in.{array} + {inputs[into]}, out.{array} + {outputs[output]}, {size});")
     text = files(__package__).joinpath("driver.hpp").read_text()
-    calls = [f"part_{k}(in, s, out);" for k in range(parts)]
+    calls = [f"part_{k}(in, numbers, s, out);" for k in range(parts)]
     for word, lines in {"LOADS": loads, "STORES": stores, "CARRY": carry, "CALLS": calls}.items():
         text = text.replace(f"@{word}@", "\n            ".join(lines))
     return text

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ctypes
-import logging
 import os
 from typing import Any
 
@@ -12,15 +11,13 @@ from torch import Tensor, nn
 from torch.func import functional_call
 
 from apcc_torch.errors import CompileError, DtypeError, ShapeError, ValueRangeError
-from apcc_torch.native.build import built, compiler, library_name, widest_vector
+from apcc_torch.native.build import compiler, widest_vector
 from apcc_torch.native.fingerprint import fingerprint
-from apcc_torch.native.library import cache_folder, kept, loaded
-from apcc_torch.native.source import program
+from apcc_torch.native.kept_program import Program, kept_program
+from apcc_torch.native.source import Source, program
 from apcc_torch.native.structure import any_double, described, flattened, rebuilt
-from apcc_torch.native.trace import Leaf, traced
+from apcc_torch.native.trace import Leaf, Trace, traced
 from apcc_torch.part import row_tensors
-
-log = logging.getLogger(__name__)
 
 
 class _Rows(nn.Module):
@@ -99,7 +96,8 @@ class NativeFunction:
         self._dtype = torch.float64 if any_double(given + returned + held) else torch.float32
         # Here, not at each call: it looks for the compiler.
         self._widest = widest_vector(compiler()) // self._dtype.itemsize
-        self._entries: dict[int, Any] = {}
+        self._programs: dict[int, Program] = {}
+        self._trace: Trace | None = None
 
     def _pairs(self, given: Any) -> list[tuple[int, int]]:
         first = self._like[0] if type(self._like) is tuple else self._like
@@ -108,24 +106,23 @@ class NativeFunction:
             raise CompileError(f"what is carried must come back as it went in: {now} became {later}")
         return [(k, k) for k in range(len(flattened(first)))]
 
-    def entry(self, lanes: int) -> Any:
+    def program(self, lanes: int) -> Program:
         """The compiled code for so many rows at once, built where it is not there yet, or damaged.
 
         Raises:
             CompileError: It cannot be built, kept or loaded.
         """
-        if lanes not in self._entries:
+        if lanes not in self._programs:
             form = described(self.example), str(self._carried), f"{lanes} lanes of {self._dtype}"
-            name = library_name(fingerprint(self.module, *form))
-            library = kept(name)
-            if library is None:
-                log.info("building machine code for %s, once; it is kept in %s", self._named, cache_folder())
-                with torch.inference_mode(False):
-                    trace = traced(self.traced, self.example)
-                source = program(trace, lanes, self._dtype, self._carried, os.cpu_count() or 1)
-                library = built(source, name)
-            self._entries[lanes] = loaded(library)
-        return self._entries[lanes]
+            name = fingerprint(self.module, *form)
+            self._programs[lanes] = kept_program(name, self._dtype, lambda: self._source(lanes), self._named)
+        return self._programs[lanes]
+
+    def _source(self, lanes: int) -> Source:
+        if self._trace is None:
+            with torch.inference_mode(False):
+                self._trace = traced(self.traced, self.example)
+        return program(self._trace, lanes, self._dtype, self._carried, os.cpu_count() or 1)
 
     def lanes(self, rows: int) -> int:
         """How many rows are worked on at once in a batch of `rows`."""
@@ -163,7 +160,8 @@ class NativeFunction:
         outputs = [torch.empty((*batch, *leaf.shape), dtype=leaf.dtype) for leaf in self._outputs]
         targets = (ctypes.c_void_p * len(outputs))(*[t.data_ptr() for t in outputs])
         threads = self.threads or torch.get_num_threads()
-        self.entry(self.lanes(rows))(rows, repeats, threads, pointers, strides, targets)
+        code = self.program(self.lanes(rows))
+        code.run(rows, repeats, threads, code.numbers, pointers, strides, targets)
         return rebuilt(self._like, iter(outputs))
 
     def _batch(self, given: list[Tensor]) -> torch.Size:

@@ -55,7 +55,7 @@ def laid_out(trace: Trace) -> Layout:
             order.append(index)
         elif not seen[index]:
             seen[index] = 1
-            if expressions[index].op in ("constant", "input"):
+            if expressions[index].value is not None:
                 continue
             stack.append((index, True))
             stack.extend((i, False) for i in reversed(expressions[index].operands))

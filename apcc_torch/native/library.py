@@ -62,7 +62,7 @@ def check_private(path: Path) -> None:
 
 
 def kept(name: str) -> Path | None:
-    """The library of this name, if it was built before and is whole; the log says where it is damaged.
+    """The file of this name, if it was kept before and is whole; the log says where it is damaged.
 
     Raises:
         CompileError: It cannot be read, or is not this user's alone.
@@ -82,15 +82,14 @@ def kept(name: str) -> Path | None:
     return None
 
 
-def keep(made: Path, name: str) -> Path:
-    """Keeps a library that was built, whole or not at all, with its checksum beside it.
+def keep(content: bytes, name: str) -> Path:
+    """Keeps what was built, whole or not at all, with its checksum beside it.
 
     Raises:
         CompileError: It cannot be written.
     """
     library = private_folder() / name
     try:
-        content = made.read_bytes()
         for path, what in ((library, content), (_checksum(library), hashlib.sha256(content).hexdigest())):
             write_atomically(path, what).chmod(0o600)
     except OSError as error:
@@ -109,12 +108,12 @@ def loaded(library: Path) -> Any:
     except (OSError, AttributeError) as error:
         raise CompileError(f"machine code cannot be loaded: {error}") from error
     entry.restype = None
-    entry.argtypes = [ctypes.c_long, ctypes.c_long, ctypes.c_int, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p]
+    entry.argtypes = [ctypes.c_long, ctypes.c_long, ctypes.c_int, *(ctypes.c_void_p,) * 4]
     return entry
 
 
 def _checksum(library: Path) -> Path:
-    return library.with_suffix(".sha256")
+    return library.with_name(library.name + ".sha256")
 
 
 def _unkept(error: OSError) -> CompileError:

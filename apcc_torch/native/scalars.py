@@ -3,6 +3,9 @@
 An expression is an index into one list. Equal expressions share an index, constants are folded and neutral elements
 dropped as expressions are made, so what a tensor of zeros multiplies costs nothing. In one point the arithmetic is not
 IEEE's: zero times anything is zero, and what is not finite does not spread through a product with a constant zero.
+
+What a function holds is known as well, and so is what follows from it alone. But only its zeros shape the
+expressions; other values stay apart by where they come from, so functions that differ in these alone look alike.
 """
 
 from __future__ import annotations
@@ -21,16 +24,20 @@ FLOAT, INT, BOOL = "f", "i", "b"
 class Expression(NamedTuple):
     """One operation on other expressions.
 
-    op: Name of the operation; "constant" and "input" have no operands.
+    op: Name of the operation; "constant", "held" and "input" have no operands.
     operands: Indices of the operands.
     kind: FLOAT, INT or BOOL.
-    value: Of a constant its value, of an input its number.
+    value: What it comes to, where that is known now; of an input its number.
     """
 
     op: str
     operands: tuple[int, ...]
     kind: str
     value: Constant | None = None
+
+
+def _shapes(value: float) -> bool:
+    return value == 0.0
 
 
 def _divided(a: float, b: float) -> float:
@@ -55,6 +62,8 @@ _FOLDED: dict[str, Callable[..., Constant]] = {
     "sin": math.sin,
     "cos": math.cos,
     "floor": math.floor,
+    "max": max,
+    "min": min,
     "lt": operator.lt,
     "le": operator.le,
     "eq": operator.eq,
@@ -75,13 +84,15 @@ class Scalars:
 
     def __init__(self) -> None:
         self.expressions: list[Expression] = []
-        self._known: dict[tuple[str, tuple[int, ...], str, str], int] = {}
+        self._known: dict[tuple[str, tuple[int, ...], str, str, str], int] = {}
 
     def __getitem__(self, index: int) -> Expression:
         return self.expressions[index]
 
-    def _add(self, op: str, operands: tuple[int, ...], kind: str, value: Constant | None = None) -> int:
-        key = (op, operands, kind, repr(value))  # repr tells 0.0 from -0.0, and NaN is itself
+    def _add(
+        self, op: str, operands: tuple[int, ...], kind: str, value: Constant | None = None, origin: str = ""
+    ) -> int:
+        key = (op, operands, kind, repr(value), origin)  # repr tells 0.0 from -0.0, and NaN is itself
         index = self._known.get(key)
         if index is None:
             index = len(self.expressions)
@@ -94,14 +105,18 @@ class Scalars:
         made = {FLOAT: float, INT: int, BOOL: bool}[kind](value)
         return self._add("constant", (), kind, made)
 
+    def held(self, value: float, origin: str) -> int:
+        """A number that the function holds, told from others by where it comes from; zeros are constants."""
+        return self.constant(value, FLOAT) if _shapes(value) else self._add("held", (), FLOAT, value, origin)
+
     def input(self, number: int, kind: str) -> int:
         """The input of this number."""
         return self._add("input", (), kind, number)
 
     def known(self, index: int) -> Constant | None:
-        """The value of a constant, None of anything else."""
+        """What an expression comes to, None where that is not known now."""
         result = self.expressions[index]
-        return result.value if result.op == "constant" else None
+        return None if result.op == "input" else result.value
 
     def make(self, op: str, *operands: int) -> int:
         """The expression `op` of the operands, simplified."""
@@ -109,10 +124,14 @@ class Scalars:
         kind = BOOL if op in _TRUTH else FLOAT if op == "float" else INT if op == "int" else self[operands[-1]].kind
         if op in _FOLDED and None not in values:
             try:
-                return self.constant(_FOLDED[op](*values), kind)
+                value = _FOLDED[op](*values)
             except (OverflowError, ValueError):  # sin of infinity, int of NaN: left to the machine
                 return self._add(op, operands, kind)
-        simpler = self._simplified(op, operands, values)
+            if kind != FLOAT or _shapes(value) or all(self[i].op == "constant" for i in operands):
+                return self.constant(value, kind)
+            return self._add(op, operands, kind, float(value))
+        shaping = [self[i].value if self[i].op == "constant" else None for i in operands]
+        simpler = self._simplified(op, operands, shaping)
         if simpler is not None:
             return simpler
         if op in _COMMUTATIVE and operands[0] > operands[1]:

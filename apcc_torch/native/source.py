@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import dataclass
 from importlib.resources import files
 
@@ -18,6 +19,8 @@ _INFIX = {
     "add": "+", "sub": "-", "mul": "*", "div": "/", "and": "&", "or": "|",
     "lt": "<", "le": "<=", "eq": "==", "ne": "!=",
 }  # fmt: skip
+_SIGNATURE = "void part_{}(const Inputs& in, const REAL* __restrict k, Scratch& s, Outputs& out)"
+_LARGEST_OF_FORM = 16.0
 # The functions of lanes.hpp whose names differ from the operation's with an underscore behind it.
 _CALLS = {"float": "real", "int": "integer"}
 
@@ -29,11 +32,17 @@ class Source:
     header: Common to all.
     parts: Bodies, each with the header before it.
     lanes: Rows that it works on at once.
+    numbers: What it reads in place of constants, so modules that differ in these alone share a library.
     """
 
     header: str
     parts: list[str]
     lanes: int
+    numbers: list[float]
+
+    def name(self) -> str:
+        """What tells its text from others (32 hexadecimal digits); the numbers have no part in it."""
+        return hashlib.sha256("\0".join((self.header, *self.parts)).encode()).hexdigest()[:32]
 
 
 def program(trace: Trace, lanes: int, dtype: torch.dtype, carried: list[tuple[int, int]], files_wanted: int) -> Source:
@@ -56,7 +65,7 @@ def program(trace: Trace, lanes: int, dtype: torch.dtype, carried: list[tuple[in
     for k, text in enumerate(functions):
         groups[k % len(groups)].append(text)
     groups[0].append(driver(trace, writer.parts, carried))
-    return Source(header, ["\n".join(group) for group in groups], lanes)
+    return Source(header, ["\n".join(group) for group in groups], lanes, writer.numbers)
 
 
 class _Writer:
@@ -65,6 +74,9 @@ class _Writer:
     def __init__(self, trace: Trace, layout: Layout) -> None:
         self.layout = layout
         self.expressions = trace.scalars.expressions
+        self.numbers: list[float] = []
+        self._named = {index: f"t{k}" for k, index in enumerate(layout.order)}
+        self._number_of: dict[int, int] = {}
         self.parts = 1 + (len(layout.order) - 1) // STATEMENTS if layout.order else 1
         starts, self.inputs = places(trace.inputs)
         self.places = [
@@ -87,18 +99,19 @@ class _Writer:
         for name, sizes in {"Inputs": self.inputs, "Scratch": self.layout.sizes, "Outputs": self.outputs}.items():
             fields = " ".join(f"{TYPE[k]} {ARRAY[k]}[{max(n, 1)}];" for k, n in sizes.items())
             lines.append(f"struct {name} {{ {fields} }};")
-        lines += [f"void part_{k}(const Inputs& in, Scratch& s, Outputs& out);" for k in range(self.parts)]
+        lines += [f"{_SIGNATURE.format(k)};" for k in range(self.parts)]
         return "\n".join(lines)
 
     def part(self, k: int) -> str:
         """One function: its share of the statements."""
-        lines = [f"__attribute__((noinline)) void part_{k}(const Inputs& in, Scratch& s, Outputs& out) {{"]
+        lines = [f"__attribute__((noinline)) {_SIGNATURE.format(k)} {{"]
         for index in self.layout.order[k * STATEMENTS : (k + 1) * STATEMENTS]:
             expression = self.expressions[index]
-            lines.append(f"const {TYPE[expression.kind]} t{index} = {self._formula(expression, k)};")
+            name = self._named[index]
+            lines.append(f"const {TYPE[expression.kind]} {name} = {self._formula(expression, k)};")
             if index in self.layout.slots:
-                lines.append(f"s.{ARRAY[expression.kind]}[{self.layout.slots[index]}] = t{index};")
-            lines += [f"{place} = t{index};" for place in self.targets.get(index, ())]
+                lines.append(f"s.{ARRAY[expression.kind]}[{self.layout.slots[index]}] = {name};")
+            lines += [f"{place} = {name};" for place in self.targets.get(index, ())]
         if k == self.parts - 1:
             lines += self.plain
         return "\n".join((*lines, "}"))
@@ -119,18 +132,37 @@ class _Writer:
 
     def _name(self, index: int, part: int) -> str:
         expression = self.expressions[index]
-        if expression.op == "constant":
-            return _literal(expression)
         if expression.op == "input":
             return f"in.{ARRAY[expression.kind]}[{self.places[int(expression.value or 0)]}]"
+        if expression.op == "constant" and _is_form(expression):
+            return _literal(expression)
+        if expression.value is not None:
+            return self._number(index)
         if self.layout.part_of[index] == part:
-            return f"t{index}"
+            return self._named[index]
         return f"s.{ARRAY[expression.kind]}[{self.layout.slots[index]}]"
+
+    def _number(self, index: int) -> str:
+        if index not in self._number_of:
+            self._number_of[index] = len(self.numbers)
+            self.numbers.append(float(self.expressions[index].value or 0.0))
+        return f"k[{self._number_of[index]}]"
 
     def _splatted(self, index: int, part: int) -> str:
         expression = self.expressions[index]
         name = self._name(index, part)
-        return f"{_SPLAT[expression.kind]}({name})" if expression.op == "constant" else name
+        plain = expression.value is not None and expression.op != "input"
+        return f"{_SPLAT[expression.kind]}({name})" if plain else name
+
+
+def _is_form(expression: Expression) -> bool:
+    """Whether a constant belongs to the formula, as halves and small integers do, and is no setting."""
+    value = expression.value
+    return (
+        expression.kind != FLOAT
+        or value is None
+        or (abs(value) <= _LARGEST_OF_FORM and float(2.0 * value).is_integer())
+    )
 
 
 def _literal(expression: Expression) -> str:

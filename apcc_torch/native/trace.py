@@ -109,7 +109,7 @@ class _Writer:
             if node.op == "placeholder":
                 spec = signature[node.name]
                 if spec.kind != InputKind.USER_INPUT:
-                    values[node.name] = self.arithmetic.constant(self._held(spec))
+                    values[node.name] = self.arithmetic.held(self._held(spec))
                 elif isinstance(node.meta.get("val"), Tensor):
                     leaf = self.inputs[position]
                     values[node.name], number = self._input(leaf, number), number + _count(leaf)

@@ -38,11 +38,21 @@ class Arithmetic:
 
     def __init__(self) -> None:
         self.scalars = Scalars()
+        self._tensors = 0
 
     def constant(self, tensor: Tensor) -> Value:
         """A tensor that is known now."""
         kind = kind_of(tensor.dtype)
         flat = [self.scalars.constant(value, kind) for value in tensor.detach().flatten().tolist()]
+        return Value(torch.tensor(flat, dtype=torch.int64).reshape(tensor.shape), tensor.dtype)
+
+    def held(self, tensor: Tensor) -> Value:
+        """A tensor that the function holds; see `Scalars.held`. Equal entries of one tensor are one number."""
+        if kind_of(tensor.dtype) != FLOAT:
+            return self.constant(tensor)
+        self._tensors += 1
+        values = tensor.detach().flatten().tolist()
+        flat = [self.scalars.held(value, f"{self._tensors}.{k}") for k, value in enumerate(values)]
         return Value(torch.tensor(flat, dtype=torch.int64).reshape(tensor.shape), tensor.dtype)
 
     def entries(self, operand: Operand, kind: str) -> Tensor:

@@ -53,15 +53,14 @@ def runs_eagerly(caplog: pytest.LogCaptureFixture) -> str:
     return why
 
 
-def test_no_damage_is_loaded(folder: Path, tmp_path: Path) -> None:
+def test_no_damage_is_loaded(folder: Path) -> None:
     """Whatever is cut off, zeroed or flipped, in the library or in its checksum."""
-    made = tmp_path / "made.so"
     rng = random.Random(7)
-    made.write_bytes(rng.randbytes(5000))
+    made = rng.randbytes(5000)
     library = keep(made, "some.so")
-    assert kept("some.so") == library and library.read_bytes() == made.read_bytes()
-    assert [p.name for p in sorted(folder.iterdir())] == ["some.sha256", "some.so"]
-    for file in (library, library.with_suffix(".sha256")):
+    assert kept("some.so") == library and library.read_bytes() == made
+    assert [p.name for p in sorted(folder.iterdir())] == ["some.so", "some.so.sha256"]
+    for file in (library, folder / "some.so.sha256"):
         whole = file.read_bytes()
         for _ in range(15):
             at = rng.randrange(len(whole))
@@ -89,6 +88,7 @@ def test_a_damaged_library_is_built_again(
     shutil.copytree(folder, again)
     monkeypatch.setenv("APCC_CACHE", str(again))
     (library,) = again.glob("*.so")
+    (record,) = again.glob("*.json")
     with library.open("r+b") as file:  # as a crash leaves it: the size is there, and the end is not
         size = file.seek(0, os.SEEK_END)
         file.truncate(size // 2)
@@ -99,6 +99,32 @@ def test_a_damaged_library_is_built_again(
     caplog.clear()
     NativeFunction(Doubles(), (ONE,))(ROWS)
     assert not warnings(caplog)
+    record.write_bytes(record.read_bytes()[:-3])
+    with caplog.at_level(logging.WARNING, "apcc_torch"):
+        assert torch.equal(NativeFunction(Doubles(), (ONE,))(ROWS), 2.0 * ROWS)
+    assert warnings(caplog) == [f"the kept machine code {record} is damaged and is built again"]
+
+
+class Scaled(nn.Module):
+    def __init__(self, factor: list[float]) -> None:
+        super().__init__()
+        self.register_buffer("factor", torch.tensor(factor))
+
+    def forward(self, x: Tensor) -> Tensor:
+        return self.factor * x + self.factor.square().sum() * x.sin()
+
+
+def test_numbers_are_read_and_not_built_in(folder: Path) -> None:
+    """Modules that differ in what they hold share a library, but for zeros, and each keeps its numbers."""
+    given = ([2.0, 3.0], [0.7, 0.7], [1.0, -1.0], [1e-9, 7.0])
+    for _ in range(2):
+        for factor in given:
+            module = Scaled(factor)
+            torch.testing.assert_close(NativeFunction(module, (ONE,))(ROWS), module(ROWS))
+        assert len(list(folder.glob("*.so"))) == 1 and len(list(folder.glob("*.json"))) == len(given)
+    module = Scaled([0.0, 3.0])
+    torch.testing.assert_close(NativeFunction(module, (ONE,))(ROWS), module(ROWS))
+    assert len(list(folder.glob("*.so"))) == 2
 
 
 def test_a_folder_that_cannot_hold_it(
@@ -157,7 +183,7 @@ def test_code_that_another_may_write_is_not_run(
 ) -> None:
     mask = os.umask(0)
     try:
-        NativeFunction(Doubles(), (ONE,)).entry(1)
+        NativeFunction(Doubles(), (ONE,)).program(1)
     finally:
         os.umask(mask)
     (library,) = folder.glob("*.so")
