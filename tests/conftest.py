@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -15,9 +16,30 @@ from skips import no_recording, pytest_make_collect_report, pytest_runtest_maker
 # Tensors are tiny here: threads cost more than they bring, and parallel test workers would compete.
 torch.set_num_threads(1)
 
+# Files of few but long tests: none of them is to run alone at the end.
+LONG = (
+    "hardware/test_faults_end_to_end.py",
+    "sweeps/test_launchers.py",
+    "simulation/test_rollout.py",
+    "native/test_steps.py",
+    "native/test_models.py",
+    "tests/test_robot.py",
+    "sweeps/test_resume.py",
+    "sweeps/test_search.py",
+    "sweeps/test_stops.py",
+    "experiments/test_identification.py",
+    "hardware/test_emulated_platform.py",
+)
+
 settings.register_profile("local", deadline=None, max_examples=30)
 settings.register_profile("fixed", settings.get_profile("local"), derandomize=True, database=None, print_blob=True)
 settings.load_profile("fixed" if os.environ.get("CI") else "local")
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Long files begin first, then those of the most tests."""
+    tests = Counter(item.path for item in items)
+    items.sort(key=lambda item: (not item.path.as_posix().endswith(LONG), -tests[item.path]))
 
 
 @pytest.fixture(scope="session")

@@ -12,7 +12,7 @@ from apcc_torch.model.backbone import PCCBackbone
 from apcc_torch.model.constant_strain import STRAINS, ConstantStrainBackbone
 from apcc_torch.model.kinematic_model import KinematicModel
 from arms import rest_lengths
-from laws import generator, rotations, uniform
+from laws import generator, normal, rotations, uniform
 
 Make = Callable[[int, Tensor | None], KinematicModel]
 
@@ -47,3 +47,12 @@ def random_model(name: str, seed: int, n: int) -> tuple[KinematicModel, Tensor, 
     rng = generator(seed)
     model = MODELS[name](n, rotations((), torch.float64, rng))
     return model, shapes_of(model, (), torch.float64, rng), rest_lengths((), n, torch.float64, rng)
+
+
+def random_rows(name: str, seed: int, n: int, rows: int) -> tuple[KinematicModel, Tensor, Tensor, Tensor]:
+    """A model on a random base, and so many q, L0 and qdot."""
+    rng = generator(seed)
+    model = MODELS[name](n, rotations((), torch.float64, rng))
+    shape = (rows,)
+    q, L0 = shapes_of(model, shape, torch.float64, rng), rest_lengths(shape, n, torch.float64, rng)
+    return model, q, L0, normal((rows, model.n), torch.float64, rng)

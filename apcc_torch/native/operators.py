@@ -21,7 +21,6 @@ from apcc_torch.native.entrywise import (
     reciprocal,
     rsub,
     scaled,
-    square,
     swapped,
     threshold,
     where,
@@ -39,27 +38,19 @@ from apcc_torch.native.placing import (
     scattered,
     triangle,
 )
-from apcc_torch.native.reductions import SUM, argmax, cumsum, diff, mean, norm, reduced
+from apcc_torch.native.reductions import SUM, argmax, cumsum, mean, norm, reduced
 from apcc_torch.native.scalars import FLOAT
-from apcc_torch.native.values import Arithmetic, Operator, Value, kind_of
+from apcc_torch.native.values import Operator, Value, kind_of
 
 # Operations that move entries and compute nothing.
 MOVES = frozenset({
-    "alias", "as_strided", "broadcast_tensors", "broadcast_to", "cat", "clone", "contiguous", "copy_", "detach",
-    "diagonal", "expand", "expand_as", "flatten", "flip", "lift_fresh_copy", "mT", "matrix_H", "movedim", "narrow",
-    "permute", "repeat", "reshape", "select", "slice", "split", "split_with_sizes", "squeeze", "stack", "swapaxes",
-    "t", "transpose", "unbind", "unflatten", "unsqueeze", "view",
+    "_unsafe_view", "alias", "as_strided", "cat", "clone", "copy_", "detach", "diagonal", "expand", "flip",
+    "lift_fresh", "permute", "repeat", "select", "slice", "split", "split_with_sizes", "squeeze", "stack", "t",
+    "transpose", "unbind", "unsqueeze", "view",
 })  # fmt: skip
 
 
-def _nothing(a: Arithmetic, dtype: torch.dtype, *_: object, **__: object) -> None:
-    return None
-
-
 OPERATORS: dict[str, Operator] = {
-    "aten.__and__": logic("and"),
-    "aten.__or__": logic("or"),
-    "aten._assert_tensor_metadata": _nothing,
     "aten._to_copy": converted,
     "aten.abs": entrywise("abs"),
     "aten.acos": entrywise("acos", FLOAT),
@@ -83,12 +74,11 @@ OPERATORS: dict[str, Operator] = {
     "aten.clamp": clamp,
     "aten.clamp_max": lambda a, dtype, x, bound: clamp(a, dtype, x, None, bound),
     "aten.clamp_min": lambda a, dtype, x, bound: clamp(a, dtype, x, bound),
-    "aten.constant_pad_nd": lambda a, dtype, x, pad, value=0: pad(a, dtype, x, pad, "constant", value),
+    "aten.constant_pad_nd": pad,
     "aten.cos": entrywise("cos", FLOAT),
     "aten.cumsum": cumsum,
     "aten.diag_embed": embedded,
     "aten.diagonal_scatter": scattered,
-    "aten.diff": diff,
     "aten.div": entrywise("div", FLOAT),
     "aten.eq": entrywise("eq"),
     "aten.exp": entrywise("exp", FLOAT),
@@ -127,10 +117,8 @@ OPERATORS: dict[str, Operator] = {
     "aten.mv": product,
     "aten.ne": entrywise("ne"),
     "aten.neg": entrywise("neg"),
-    "aten.norm": norm,
     "aten.ones": filling(1),
     "aten.ones_like": filling(1),
-    "aten.pad": pad,
     "aten.pow": power,
     "aten.prod": reduced(lambda a, row: a.folded("mul", row), 1.0),
     "aten.reciprocal": reciprocal,
@@ -140,16 +128,13 @@ OPERATORS: dict[str, Operator] = {
     "aten.scalar_tensor": lambda a, dtype, value, **_: filled(a, dtype, (), value),
     "aten.sin": entrywise("sin", FLOAT),
     "aten.sqrt": entrywise("sqrt", FLOAT),
-    "aten.square": square,
     "aten.sub": scaled("sub"),
     "aten.sum": SUM,
     "aten.tan": entrywise("tan", FLOAT),
     "aten.tanh": entrywise("tanh", FLOAT),
     "aten.threshold": threshold,
-    "aten.to": converted,
     "aten.tril": triangle("lower"),
     "aten.triu": triangle("upper"),
-    "aten.type_as": converted,
     "aten.where": where,
     "aten.zeros": filling(0),
     "aten.zeros_like": filling(0),

@@ -42,12 +42,8 @@ def known(a: Arithmetic, value: Value) -> Tensor:
     return torch.tensor(numbers, dtype=value.dtype).reshape(value.entries.shape)
 
 
-def pad(
-    a: Arithmetic, dtype: torch.dtype, x: Value, pad: list[int], mode: str = "constant", value: Any = None
-) -> Value:
-    if mode != "constant":
-        raise NotImplementedError(f"padding by {mode}")
-    outside = a.scalars.constant(value or 0, kind_of(dtype))
+def pad(a: Arithmetic, dtype: torch.dtype, x: Value, pad: list[int], value: float = 0) -> Value:
+    outside = a.scalars.constant(value, kind_of(dtype))
     return Value(torch.nn.functional.pad(x.entries, pad, value=outside), dtype)
 
 

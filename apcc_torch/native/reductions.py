@@ -60,16 +60,6 @@ def cumsum(a: Arithmetic, dtype: torch.dtype, x: Value, dim: int) -> Value:
     return Value(torch.tensor(rows, dtype=torch.int64).reshape(entries.shape).movedim(-1, dim), dtype)
 
 
-def diff(a: Arithmetic, dtype: torch.dtype, x: Value, n: int = 1, dim: int = -1) -> Value:
-    if n != 1:
-        raise NotImplementedError(f"differences of order {n}")
-    later, sooner = (
-        x.entries.narrow(dim, 1, x.entries.shape[dim] - 1),
-        x.entries.narrow(dim, 0, x.entries.shape[dim] - 1),
-    )
-    return entrywise("sub")(a, dtype, Value(later, x.dtype), Value(sooner, x.dtype))
-
-
 def argmax(op: str) -> Operator:
     """Index of the first largest (or smallest) entry along a dimension."""
 

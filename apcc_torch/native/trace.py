@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import operator
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any, NamedTuple
 
 import torch
-from torch import Tensor, nn
-from torch.export.graph_signature import InputKind
-from torch.fx import config
+from torch import Tensor
+from torch.overrides import TorchFunctionMode
+from torch.utils._python_dispatch import TorchDispatchMode
 
 from apcc_torch.errors import CompileError
 from apcc_torch.native.operators import MOVES, OPERATORS
@@ -20,8 +19,19 @@ from apcc_torch.native.values import Arithmetic, Value, kind_of
 
 Function = Callable[..., Any]
 
-# Keywords that say where a tensor lies and what it is made of: the graph's metadata says the latter.
+# Keywords that say where a tensor lies and what it is made of: the tensor at the example says the latter.
 _PLACEMENT = frozenset({"dtype", "layout", "device", "pin_memory", "memory_format", "non_blocking", "copy"})
+# Torch chooses these by how the tensor at the example lies, and the entries lie alike.
+_VIEWS = ("aten.view", "aten._unsafe_view")
+_FLAGS = ("_is_compiling_flag", "_is_exporting_flag")
+_WHOLE: dict[Any, str] = {
+    torch.isfinite: "aten.isfinite",
+    Tensor.isfinite: "aten.isfinite",
+    torch.linalg.solve_ex: "aten.linalg_solve_ex",
+    torch.matmul: "aten.matmul",
+    Tensor.matmul: "aten.matmul",
+    Tensor.__matmul__: "aten.matmul",
+}
 
 
 class Leaf(NamedTuple):
@@ -45,17 +55,6 @@ class Trace(NamedTuple):
     results: list[list[int]]
 
 
-class _Function(nn.Module):
-    """A function of tensors as a module, which is what torch exports."""
-
-    def __init__(self, function: Function) -> None:
-        super().__init__()
-        self.function = function
-
-    def forward(self, *args: Any) -> Any:
-        return self.function(*args)
-
-
 def traced(function: Function, example: tuple[Any, ...]) -> Trace:
     """Traces `function` at one row of arguments; what it holds is taken as constant.
 
@@ -66,99 +65,138 @@ def traced(function: Function, example: tuple[Any, ...]) -> Trace:
     Raises:
         CompileError: It cannot be traced, or uses an operation that is not in the table.
     """
-    # Each argument a tensor of its own: torch takes two that are one tensor for one argument.
+    recorder = _Recorder()
+    # Each argument a tensor of its own: two that are one tensor here may be two at a call.
     given = [leaf.detach().clone() for leaf in flattened(example)]
-    example = rebuilt(example, iter(given))
+    inputs = [Leaf(tuple(leaf.shape), leaf.dtype) for leaf in given]
+    symbols = recorder.inputs(given)
     try:
-        with torch.no_grad(), _without_stacks():
-            program = torch.export.export(_Function(function), tuple(example), strict=False)
+        with torch.no_grad(), _compiling(), _Whole(recorder), recorder:
+            returned = function(*rebuilt(example, iter(symbols)))
+    except CompileError:
+        raise
     except Exception as error:  # torch raises many kinds here, and each means the same
         raise CompileError(f"the function cannot be traced: {error}") from error
-    return _Writer(program, given).run()
+    outcome = [recorder.value(leaf) for leaf in flattened(returned)]
+    outputs = [Leaf(tuple(value.entries.shape), value.dtype) for value in outcome]
+    results = [value.entries.flatten().tolist() for value in outcome]
+    return Trace(recorder.arithmetic.scalars, inputs, outputs, results)
 
 
 @contextmanager
-def _without_stacks() -> Iterator[None]:
-    """Keeps torch from noting where each operation was called, a fifth of the time of a trace; nobody reads it here."""
-    before = getattr(config, "do_not_emit_stack_traces", None)  # None: this torch has no such switch
-    if before is None:
-        yield
-        return
-    config.do_not_emit_stack_traces = True
+def _compiling() -> Iterator[None]:
+    """What asks torch whether it is compiled hears that it is."""
+    flags = {name: getattr(torch.compiler, name) for name in _FLAGS if hasattr(torch.compiler, name)}
     try:
+        for name in flags:
+            setattr(torch.compiler, name, True)
         yield
     finally:
-        config.do_not_emit_stack_traces = before
+        for name, before in flags.items():
+            setattr(torch.compiler, name, before)
 
 
-class _Writer:
-    """Runs an exported graph on scalar expressions."""
+class _Symbol(Tensor):
+    """A tensor of expressions: it has a form, but no values that could be read or branched on.
 
-    def __init__(self, program: torch.export.ExportedProgram, given: list[Tensor]) -> None:
-        self.program = program
+    value: Its expressions.
+    row: The tensor at the example, which tells torch's forms.
+    """
+
+    value: Value
+    row: Tensor
+    __torch_function__ = torch._C._disabled_torch_function_impl  # type: ignore[assignment]
+
+    @classmethod
+    def __torch_dispatch__(  # type: ignore[override]
+        cls, func: Any, types: Any, args: Any = (), kwargs: Any = None
+    ) -> Any:
+        raise RuntimeError(f"{func} met a tensor of a trace that has ended")
+
+
+def _symbol(value: Value, row: Tensor) -> _Symbol:
+    strides = row.stride()
+    if value.entries.stride() != strides:
+        # Laid out alike, what is a view of the one is a view of the other: what is written into it, is in both.
+        value = Value(torch.empty_strided(row.shape, strides, dtype=torch.int64).copy_(value.entries), value.dtype)
+    made: _Symbol = Tensor._make_wrapper_subclass(_Symbol, row.shape, strides=strides, dtype=row.dtype)
+    made.value, made.row = value, row
+    return made
+
+
+class _Recorder(TorchDispatchMode):
+    """Runs each of torch's operations on scalar expressions too."""
+
+    def __init__(self) -> None:
+        super().__init__()
         self.arithmetic = Arithmetic()
-        self.given = given
-        self.inputs = [Leaf(tuple(leaf.shape), leaf.dtype) for leaf in given]
+        self._held: dict[int, tuple[Tensor, Value]] = {}
+        self._inside = False
 
-    def run(self) -> Trace:
-        """The whole graph, node by node."""
-        signature = {spec.arg.name: spec for spec in self.program.graph_signature.input_specs}
-        values: dict[str, Any] = {}
-        number = position = 0
-        for node in self.program.graph.nodes:
-            if node.op == "placeholder":
-                spec = signature[node.name]
-                if spec.kind != InputKind.USER_INPUT:
-                    values[node.name] = self.arithmetic.held(self._held(spec))
-                elif isinstance(node.meta.get("val"), Tensor):
-                    leaf = self.inputs[position]
-                    values[node.name], number = self._input(leaf, number), number + _count(leaf)
-                    position += 1
-                else:
-                    values[node.name] = node.meta.get("val")
-            elif node.op == "call_function":
-                values[node.name] = self._called(node, values)
-            elif node.op == "output":
-                return self._trace(_resolved(node.args[0], values))
-            else:
-                raise CompileError(f"the trace holds {node.op}, which cannot be compiled")
-        raise CompileError("the function returns nothing")
+    def inputs(self, given: list[Tensor]) -> list[_Symbol]:
+        """Symbols of the arguments."""
+        symbols, number = [], 0
+        for leaf in given:
+            numbers = range(number, number := number + leaf.numel())
+            flat = [self.arithmetic.scalars.input(k, kind_of(leaf.dtype)) for k in numbers]
+            entries = torch.tensor(flat, dtype=torch.int64).reshape(leaf.shape)
+            symbols.append(_symbol(Value(entries, leaf.dtype), leaf))
+        return symbols
 
-    def _held(self, spec: Any) -> Tensor:
-        state, constants = self.program.state_dict, self.program.constants
-        return state[spec.target] if spec.target in state else constants[spec.target]
+    def value(self, item: Any) -> Any:
+        """Tensors replaced by their expressions; one that is no symbol is held by the function."""
+        if isinstance(item, _Symbol):
+            return item.value
+        if isinstance(item, Tensor):
+            if id(item) not in self._held:
+                self._held[id(item)] = item, self.arithmetic.held(item)
+            return self._held[id(item)][1]
+        if isinstance(item, (list, tuple)):
+            return [self.value(i) for i in item]
+        return item
 
-    def _input(self, leaf: Leaf, number: int) -> Value:
-        kind = kind_of(leaf.dtype)
-        flat = [self.arithmetic.scalars.input(number + i, kind) for i in range(_count(leaf))]
-        return Value(torch.tensor(flat, dtype=torch.int64).reshape(leaf.shape), leaf.dtype)
+    def __torch_dispatch__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
+        return self.called(str(func), func, args, kwargs or {})
 
-    def _called(self, node: torch.fx.Node, values: dict[str, Any]) -> Any:
-        args, kwargs = _resolved(node.args, values), _resolved(dict(node.kwargs), values)
-        if node.target is operator.getitem:
-            return args[0][args[1]]
-        name = str(node.target)  # aten.mul.Tensor
-        base = name.rsplit(".", 1)[0]
-        meta = node.meta.get("val")
+    def called(self, name: str, func: Any, args: Any, kwargs: Any) -> Any:
+        """What an operation (aten.mul.Tensor, for example) gives, as symbols; what it does inside is not noted."""
+        if self._inside:
+            return func(*args, **kwargs)
+        self._inside = True
         try:
-            if base.removeprefix("aten.") in MOVES:
-                return self._moved(node.target, args, kwargs, meta)
-            rule = OPERATORS.get(base)
-            if rule is None:
-                raise NotImplementedError("no rule for it")
-            kwargs = {k: v for k, v in kwargs.items() if k not in _PLACEMENT}
-            result = rule(self.arithmetic, _types(meta), *args, **kwargs)
+            return self._noted(name, func, args, kwargs)
         except NotImplementedError as error:
             raise CompileError(f"{name} cannot be compiled: {error}") from error
-        _check(name, result, meta)
-        return result
+        finally:
+            self._inside = False
 
-    def _moved(self, target: Any, args: Any, kwargs: Any, meta: Any) -> Any:
-        kind = kind_of((meta if isinstance(meta, Tensor) else meta[0]).dtype)
+    def _noted(self, name: str, func: Any, args: Any, kwargs: Any) -> Any:
+        base = ".".join(name.split(".")[:2])
+        if base == "aten._local_scalar_dense":
+            raise RuntimeError("it asks for the value of a tensor")
+        rule = OPERATORS.get(base)
+        if base == "aten.copy_" and not isinstance(args[0], _Symbol):
+            raise NotImplementedError("it writes into what the function holds")
+        rows = func(*_rows(args), **_rows(kwargs))
+        given, named = self.value(args), {key: self.value(item) for key, item in kwargs.items()}
+        if base.removeprefix("aten.") in MOVES:
+            result = self._moved(Tensor.reshape if base in _VIEWS else func, given, named, rows)
+        elif rule is not None:
+            named = {key: item for key, item in named.items() if key not in _PLACEMENT}
+            result = rule(self.arithmetic, _types(rows), *given, **named)
+        else:
+            raise NotImplementedError("no rule for it")
+        _check(name, result, rows)
+        if isinstance(rows, Tensor):
+            return _symbol(result, rows)
+        return None if rows is None else type(rows)([_symbol(r, row) for r, row in zip(result, rows, strict=True)])
+
+    def _moved(self, target: Any, args: Any, kwargs: Any, rows: Any) -> Any:
+        kind = kind_of((rows if isinstance(rows, Tensor) else rows[0]).dtype)
         result = target(*self._entries(args, kind), **self._entries(kwargs, kind))
         if isinstance(result, Tensor):
-            return Value(result, meta.dtype)
-        return [Value(r, m.dtype) for r, m in zip(result, meta, strict=True)]
+            return Value(result, rows.dtype)
+        return [Value(r, row.dtype) for r, row in zip(result, rows, strict=True)]
 
     def _entries(self, item: Any, kind: str) -> Any:
         """Values replaced by their entries, all of one kind, as torch promotes what it puts side by side."""
@@ -170,15 +208,30 @@ class _Writer:
             return {k: self._entries(v, kind) for k, v in item.items()}
         return item
 
-    def _trace(self, returned: Any) -> Trace:
-        outcome = [value for value in returned if isinstance(value, Value)]
-        outputs = [Leaf(tuple(value.entries.shape), value.dtype) for value in outcome]
-        results = [value.entries.flatten().tolist() for value in outcome]
-        return Trace(self.arithmetic.scalars, self.inputs, outputs, results)
+
+class _Whole(TorchFunctionMode):
+    """Keeps functions whole that have a rule of their own, and that torch would take apart."""
+
+    def __init__(self, recorder: _Recorder) -> None:
+        super().__init__()
+        self._recorder = recorder
+
+    def __torch_function__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
+        name = _WHOLE.get(func)
+        if name is None:
+            return func(*args, **(kwargs or {}))
+        return self._recorder.called(name, func, args, kwargs or {})
 
 
-def _count(leaf: Leaf) -> int:
-    return int(torch.Size(leaf.shape).numel())
+def _rows(item: Any) -> Any:
+    """Symbols replaced by their tensors at the example."""
+    if isinstance(item, _Symbol):
+        return item.row
+    if isinstance(item, (list, tuple)):
+        return [_rows(i) for i in item]
+    if isinstance(item, dict):
+        return {key: _rows(i) for key, i in item.items()}
+    return item
 
 
 def _types(meta: Any) -> Any:
@@ -193,14 +246,3 @@ def _check(name: str, result: Any, meta: Any) -> None:
     for value, known in pairs:
         if value.entries.shape != known.shape:
             raise CompileError(f"{name} came out as {tuple(value.entries.shape)}, not {tuple(known.shape)}")
-
-
-def _resolved(item: Any, values: dict[str, Any]) -> Any:
-    """Nodes replaced by what they stand for."""
-    if isinstance(item, torch.fx.Node):
-        return values[item.name]
-    if isinstance(item, (list, tuple)):
-        return [_resolved(i, values) for i in item]
-    if isinstance(item, dict):
-        return {k: _resolved(v, values) for k, v in item.items()}
-    return item

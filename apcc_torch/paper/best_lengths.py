@@ -29,6 +29,8 @@ INSTANTS = 15
 """Instants of a run that are fitted, about."""
 POINTS = 60
 """Backbone points of a fit."""
+ROWS = 512
+"""Fits side by side, about: of few runs many lengths are tried at once."""
 STEPS = 5
 """Values of each rest length in the grid."""
 REACH = 0.25
@@ -138,8 +140,9 @@ def patient_feedback(build: Builder) -> StateFeedback:
 
 
 def _inferred(feedback: StateFeedback, q: Tensor, pi: Tensor, T: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """q_bar and the sensors' linear and angular errors under rest lengths pi, (n_b,) or as many as of q."""
-    estimate = feedback(q, pi.expand(*q.shape[:-1], pi.shape[-1]), T)
+    """q_bar and the sensors' linear and angular errors under rest lengths pi (..., n_b), which broadcast with q."""
+    batch = torch.broadcast_shapes(q.shape[:-1], pi.shape[:-1])
+    estimate = feedback(q.expand(*batch, -1), pi.expand(*batch, -1), T)
     angular = orientation_error(feedback.backbone, estimate.q_bar, pi, feedback.abscissae, T[..., :3, :3])
     return estimate.q_bar, estimate.linear_error, angular
 
@@ -160,12 +163,13 @@ def limits(config: SimulateSettings, log: DynamicLog, arms: Arms) -> Limits:
         T = arms.true.pose(few.q_true, arms.true_lengths, *decouple(arms.sensors, arms.true_lengths))
         shape = best_fit(arms.model, true, few.q_bar, few.pi_hat).error
         estimate: list[tuple[Tensor, ...]] = []
+        side_by_side = max(1, ROWS // few.q_bar[..., 0].numel())
         # The lengths that the controller had at these instants are among them: it is never below its own limit.
-        for pi in (few.pi_hat, *length_grid(build)):
+        for pi in (few.pi_hat.unsqueeze(0), *length_grid(build)[:, None, None].split(side_by_side)):
             q, linear, angular = _inferred(feedback, few.q_bar, pi, T)
             error = backbone_error(arms.true, few.q_true, arms.true_lengths, arms.model, q, pi, POINTS)
             estimate.append((error, elongation_cost(q), linear, angular))
-        errors, psi, linear, angular = (torch.stack(column) for column in zip(*estimate, strict=True))
+        errors, psi, linear, angular = (torch.cat(column) for column in zip(*estimate, strict=True))
         front = []
         for price in PRICES:
             best = (errors + price * psi).argmin(0, keepdim=True)

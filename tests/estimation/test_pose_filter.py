@@ -203,10 +203,10 @@ def test_rotations_stay_rotations() -> None:
     state = poses_filter.initial_state(q, 3)
     backbone, lengths = PCCBackbone(3, HANGING_BASE.float()), PI.float().expand(4, 3)
     at = backbone.material_points(lengths, *decouple(SENSORS.float().expand(4, 3), lengths))
-    many = torch.ones(4, 3, dtype=torch.bool)
+    many, true = torch.ones(4, 3, dtype=torch.bool), poses(q.double())
     for k in range(2000):
         swing = 0.01 * torch.sin(torch.tensor(0.1 * k)) * q
-        T = noisy(poses(q.double()), 0.01, rng).float()
+        T = noisy(true, 0.01, rng).float()
         state, filtered = poses_filter(state, T, many, many, DT.float())
         state = poses_filter.moved(state, backbone, at, q, swing)
     R = filtered[..., :3, :3]

@@ -21,6 +21,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hydra._internal.hydra import Hydra
+from hydra.types import RunMode
 
 from apcc_torch import robot
 from apcc_torch.hardware.control import Control
@@ -70,6 +72,8 @@ def scene(platform: EmulatedPlatform, tmp_path: Path, monkeypatch: pytest.Monkey
         monkeypatch.setattr(Control, "decide", lambda *given: scene.spoilt(decide(*given)))
         monkeypatch.setattr(Sensing, "look", looked)
         monkeypatch.setattr(Loop, "run", turning)
+        # It composes all settings once more, only to see that this is no sweep.
+        monkeypatch.setattr(Hydra, "get_mode", lambda hydra, config_name, overrides: RunMode.RUN)
         yield scene
 
 
