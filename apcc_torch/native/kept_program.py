@@ -11,7 +11,7 @@ from typing import Any, NamedTuple, Self
 import torch
 
 from apcc_torch.native.build import built, kept_name
-from apcc_torch.native.library import cache_folder, keep, kept, loaded
+from apcc_torch.native.library import alone, cache_folder, keep, kept, loaded
 from apcc_torch.native.source import Source
 
 log = logging.getLogger(__name__)
@@ -56,10 +56,11 @@ def kept_program(name: str, dtype: torch.dtype, write: Callable[[], Source], wha
         damaged = told["library"]
     source = write()
     file = kept_name(source.name(), "so")
-    library = None if file == damaged else kept(file)
-    if library is None:
-        log.info("building machine code for %s, once; it is kept in %s", what, cache_folder())
-        library = built(source, file)
+    with alone():  # a sweep's workers ask for the same code at the same time
+        library = None if file == damaged else kept(file)
+        if library is None:
+            log.info("building machine code for %s, once; it is kept in %s", what, cache_folder())
+            library = built(source, file)
     entry = loaded(library)
     keep(json.dumps({"library": file, "numbers": source.numbers}).encode("ascii"), kept_name(name, "json"))
     return Program.of(entry, source.numbers, dtype)

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import ctypes
+import fcntl
 import hashlib
 import logging
 import os
 import stat
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -95,6 +98,24 @@ def keep(content: bytes, name: str) -> Path:
     except OSError as error:
         raise _unkept(error) from error
     return library
+
+
+@contextmanager
+def alone() -> Iterator[None]:
+    """Waits until no other process builds into the cache folder, and keeps others waiting; it ends with its process.
+
+    Raises:
+        CompileError: The folder cannot be opened.
+    """
+    try:
+        lock = os.open(private_folder(), os.O_RDONLY)
+    except OSError as error:
+        raise _unkept(error) from error
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(lock)
 
 
 def loaded(library: Path) -> Any:
