@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ctypes
-import logging
 import os
 from typing import Any
 
@@ -19,8 +18,9 @@ from apcc_torch.native.source import program
 from apcc_torch.native.structure import any_double, described, flattened, rebuilt
 from apcc_torch.native.trace import Leaf, traced
 from apcc_torch.part import row_tensors
+from apcc_torch.plain_text import plain_logger
 
-log = logging.getLogger(__name__)
+log = plain_logger(__name__)
 
 
 class _Rows(nn.Module):

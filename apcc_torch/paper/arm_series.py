@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -21,10 +20,11 @@ from apcc_torch.hardware.records import Outcome
 from apcc_torch.hardware.stops import StopReason
 from apcc_torch.paper import mapping_study, state_feedback_study
 from apcc_torch.paper.tendon_samples import sampled_runs
+from apcc_torch.plain_text import plain_logger
 from apcc_torch.report.style import Draw, save_figures
 from apcc_torch.settings import check_choice
 
-log = logging.getLogger(__name__)
+log = plain_logger(__name__)
 
 Study = Callable[[Path, Sequence[str]], tuple[dict[str, float], dict[str, Draw]]]
 """Writes the tables of a series; returns its metrics, and what draws its figures."""
