@@ -56,7 +56,9 @@ def planned(cfg: DictConfig) -> list[RealtimeSettings]:
         ConfigError, ValueRangeError: A setting has no meaning.
     """
     settings = typed(cfg, RealtimeSettings)
-    return [typed(_changed(cfg, changes), RealtimeSettings) for changes in runs_of(settings).values()] or [settings]
+    runs = [typed(_changed(cfg, changes), RealtimeSettings) for changes in runs_of(settings).values()]
+    # Each is one of the series, which reads its own keys.
+    return [run.changed(series=settings.series) for run in runs] or [settings]
 
 
 def runs_of(settings: RealtimeSettings) -> Mapping[str, Sequence[str]]:

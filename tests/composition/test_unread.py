@@ -12,9 +12,10 @@ from apcc_torch.composition.run_settings import ON_AN_ARM, RunSettings, Simulate
 from apcc_torch.composition.unread import check_given, of_a_simulation
 from apcc_torch.errors import ConfigError
 from apcc_torch.experiments import dynamic, kinematic
+from apcc_torch.paper import arm_series
 from apcc_torch.settings import names
 from apcc_torch.simulation.progress import quiet
-from composed import changed, composed, composed_identify, composed_realtime
+from composed import changed, composed, composed_identify, composed_realtime, raw_realtime
 
 QUICK = ("experiment.duration=0.1", "controller.rate=50")
 SHORT = (*QUICK, "experiment.setpoints=[[0.1,0.1,-0.5]]", "experiment.payloads=[0.1]", "plant.settle=0.1")
@@ -122,6 +123,14 @@ def test_what_nothing_in_a_run_in_real_time_reads(words: tuple[str, ...], why: s
 def test_what_no_calibration_reads(words: tuple[str, ...], why: str) -> None:
     with pytest.raises(ConfigError, match=f"is read by nothing: {why}"):
         check_given(of_a_realtime_run, [composed_realtime("experiment=calibration", *words)], words)
+
+
+def test_a_series_reads_its_own_keys() -> None:
+    planned = arm_series.planned(raw_realtime("experiment=experiment_2"))
+    assert len(planned) > 1
+    check_given(of_a_realtime_run, planned, ["series.only=[run_1]", "series.figures=false"])
+    with pytest.raises(ConfigError, match=r"ramp\.goal is read by nothing: experiment\.kind is not tendons"):
+        check_given(of_a_realtime_run, planned, ["ramp.goal=[1]"])
 
 
 def test_what_a_calibration_reads() -> None:

@@ -19,7 +19,7 @@ from composed import composed
 
 
 def points(batch: str | list[str], *overrides: str) -> list[Point]:
-    given = ["experiment=kinematic", "controller.velocity=measured", *overrides]
+    given = ["experiment=kinematic", *overrides]
     with initialize_config_dir(conf_path(), version_base="1.3"):
         cfg = compose("simulate", given)
         OmegaConf.update(cfg, "batch", batch)
@@ -52,7 +52,7 @@ def jobs(*swept: str) -> list[list[str]]:
     ],
 )
 def test_a_point_is_the_job_of_its_number(swept: list[str]) -> None:
-    base = ("experiment=kinematic", "controller.velocity=measured", "controller.rate=50")
+    base = ("experiment=kinematic", "controller.rate=50")
     shuffled = any("shuffle" in entry for entry in swept)
     found = points(swept, "controller.rate=50")
     expected = jobs(*swept)
