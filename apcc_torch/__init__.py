@@ -9,6 +9,7 @@ from __future__ import annotations
 import importlib
 from typing import Any
 
+import apcc_torch.beginning  # noqa: F401  before what takes a second
 from apcc_torch.control.adaptation import AdaptiveLaw, NormalisedLaw
 from apcc_torch.control.control_settings import ControlSettings
 from apcc_torch.control.controller import APCCController

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import sys
 from pathlib import Path
 
@@ -17,21 +16,22 @@ from omegaconf.errors import OmegaConfBaseException
 
 from apcc_torch.composed import initialised
 from apcc_torch.composition.arm_file import arm_override
-from apcc_torch.composition.benchmark import BenchmarkSettings, ComparisonSettings
+from apcc_torch.composition.benchmark import BenchmarkSettings, ComparisonSettings, OverrideSettings
 from apcc_torch.composition.help import describe
 from apcc_torch.composition.run_settings import SimulateSettings
 from apcc_torch.composition.schema import check_words, schema, sentence, typed
+from apcc_torch.composition.unread import Unread, check_given, of_a_simulation
 from apcc_torch.conf_path import conf_path
 from apcc_torch.errors import ConfigError, one_sentence
 from apcc_torch.files import write_atomically
 from apcc_torch.paper import benchmark_run as paper
 from apcc_torch.paper.outcomes import Row
-from apcc_torch.plain_text import for_terminal
+from apcc_torch.plain_text import plain_logger
 from apcc_torch.reading import plain
-from apcc_torch.settings import check_names
-from apcc_torch.sweeps.claim import held_folder, refusals
+from apcc_torch.settings import check_names, names
+from apcc_torch.sweeps.claim import check_options, held_folder, refusals
 
-log = logging.getLogger("apcc_torch.benchmark")
+log = plain_logger("apcc_torch.benchmark")
 
 ConfigStore.instance().store(name="benchmark_schema", node=schema(BenchmarkSettings))
 describe("benchmark", BenchmarkSettings)
@@ -56,16 +56,16 @@ def rows(config: BenchmarkSettings, comparison: ComparisonSettings, run: str) ->
     Raises:
         ConfigError: A setting has no meaning, or rows that are to differ in their law alone differ in more.
     """
-    names, changes = comparison.runs[run], config.experiments
-    check_names(f"changes of {run}", names.changes, tuple(comparison.rows) or paper.CONTROLLERS)
+    pair, changes = comparison.runs[run], config.experiments
+    check_names(f"changes of {run}", pair.changes, tuple(comparison.rows) or paper.CONTROLLERS)
     of_side = {"standard": changes.standard, "adaptive": changes.adaptive}
     found: dict[str, Row] = {}
     for row in comparison.rows or paper.CONTROLLERS:
-        base = names.standard if row == "standard" else names.adaptive
+        base = pair.standard if row == "standard" else pair.adaptive
         law = comparison.rows.get(row)
         own = () if law is None else law.settings
         # The last one of a key counts: what the command line says is said of all that stands here.
-        here = (*comparison.common, *names.common, *own, *names.changes.get(row, ()))
+        here = (*comparison.common, *pair.common, *own, *pair.changes.get(row, ()))
         every = (*here, *changes.common, *of_side.get(row, ()))
         settings = list({setting.partition("=")[0]: setting for setting in every}.values())
         adaptive = row == "adaptive" if law is None else None
@@ -83,10 +83,30 @@ def compose_grids(config: BenchmarkSettings) -> paper.Grids:
         ConfigError: A setting has no meaning.
     """
     with initialised():
-        return {
+        grids = {
             name: {run: rows(config, comparison, run) for run in comparison.runs}
             for name, comparison in config.grid.comparisons.items()
         }
+    for who in names(OverrideSettings):
+        given = getattr(config.experiments, who)
+        of_it = [
+            row.config
+            for runs in grids.values()
+            for every in runs.values()
+            for name, row in every.items()
+            if who in ("common", name)
+        ]
+        if given and not of_it:
+            raise ConfigError(f"experiments.{who} is read by nothing: no run of this grid has a row of that name")
+        check_given(of_a_row, of_it, given)
+    return grids
+
+
+def of_a_row(config: SimulateSettings) -> Unread:
+    """What a run of the benchmark does not read."""
+    yield from of_a_simulation(config)
+    alone = "overwrite resume jobs progress threads figures objective prune"
+    yield f"{alone} batch", "the benchmark runs its grids itself: see its own keys"
 
 
 def run(cfg: DictConfig, folder: Path) -> str:
@@ -108,13 +128,14 @@ def _hydra_main(cfg: DictConfig) -> None:
     folder = Path(HydraConfig.get().runtime.output_dir)
     with one_sentence(log.error):
         words = run(cfg, folder)
-    log.info("results in %s\n%s", for_terminal(str(folder)), words)
+    log.info("results in %s\n%s", folder, words)
 
 
 def main() -> None:
     """Console entry point."""
     with held_folder(), refusals("benchmark"):
         check_words(sys.argv[1:], BenchmarkSettings, "benchmark")
+        check_options("benchmark")
         _hydra_main()
 
 

@@ -8,6 +8,9 @@ from contextlib import contextmanager
 
 from apcc_torch.plain_text import for_terminal
 
+REFUSED = 2
+"""The exit code of a program that refuses what its user can mend."""
+
 
 class ApccError(Exception):
     """Base of every error the toolkit raises on purpose.
@@ -78,7 +81,7 @@ def in_a_line(error: BaseException) -> str:
 
 @contextmanager
 def one_sentence(tell: Callable[[str], object]) -> Iterator[None]:
-    """Ends a program with exit code 2 where it refuses what its user can mend: one sentence, no stack.
+    """Ends a program with `REFUSED` where it refuses what its user can mend: one sentence, no stack.
 
     Args:
         tell: What takes the sentence.
@@ -87,4 +90,4 @@ def one_sentence(tell: Callable[[str], object]) -> Iterator[None]:
         yield
     except ApccError as error:
         tell(for_terminal(str(error)))
-        sys.exit(2)
+        sys.exit(REFUSED)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -20,10 +19,10 @@ from apcc_torch.composition.unread import check_given
 from apcc_torch.conf_path import conf_path
 from apcc_torch.errors import ConfigError, one_sentence
 from apcc_torch.experiments import identification
-from apcc_torch.plain_text import for_terminal
-from apcc_torch.sweeps.claim import held_folder, refusals
+from apcc_torch.plain_text import plain_logger
+from apcc_torch.sweeps.claim import check_options, given, held_folder, refusals
 
-log = logging.getLogger("apcc_torch.identify")
+log = plain_logger("apcc_torch.identify")
 
 ConfigStore.instance().store(name="identify_schema", node=schema(IdentifySettings))
 describe("identify", IdentifySettings)
@@ -35,9 +34,9 @@ def _hydra_main(cfg: DictConfig) -> float:
     folder = Path(HydraConfig.get().runtime.output_dir)
     with one_sentence(log.error):
         settings = typed(cfg, IdentifySettings)
-        check_given(of_a_fit, [settings], HydraConfig.get().overrides.task)
+        check_given(of_a_fit, [settings], given())
         metrics, text = identification.run(settings, folder, log.info if settings.progress else log.debug)
-    log.info("results in %s\n%s", for_terminal(str(folder)), text)
+    log.info("results in %s\n%s", folder, text)
     return metrics["arm_identified_tip_rmse_mm"]
 
 
@@ -63,6 +62,7 @@ def main() -> None:
     with held_folder(), refusals("identify"):
         check_words(sys.argv[1:], IdentifySettings, "identify")
         sys.argv[1:] = arm_override(with_arm(for_manual(sys.argv[1:], "arm=ftdcr_v6")))
+        check_options("identify")
         _hydra_main()
 
 

@@ -1,4 +1,4 @@
-"""Small symmetric positive definite systems: every solve and factor of the toolkit goes through here."""
+"""Small symmetric positive definite systems: all solves and factors go through here; and rows held to a bound."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import torch
 from torch import Tensor
 
 from apcc_torch.modes import full_precision
+from apcc_torch.settings import Setting, aligned
 
 # Where writing the elimination out is faster than the library's batched call: a factor of two at 256 matrices of this
 # size and of six at 4096; at larger sizes the library is as fast or faster (docs/speed.md).
@@ -101,3 +102,18 @@ def damped_pseudo_inverse(J: Tensor, damping: float | Tensor) -> Tensor:
     if m > n:
         return solve_spd(J.mT @ J + damping * damping * identity, J.mT)
     return solve_spd(J @ J.mT + damping * damping * identity, J).mT
+
+
+def scaled_within(x: Tensor, bound: Setting | None, of: Tensor | None = None) -> Tensor:
+    """x (..., n), a row scaled whole where an entry's magnitude is over `bound`, a number or (...); None for no bound.
+
+    The bound is positive; a row within it is divided by one, and stays what it is to the last bit.
+
+    Args:
+        x: The rows.
+        bound: The bound.
+        of: (..., m) the entries that it bounds; None for all.
+    """
+    if bound is None:
+        return x
+    return x / ((x if of is None else of).abs().amax(-1, keepdim=True) / aligned(bound, 1)).clamp(min=1.0)

@@ -29,6 +29,18 @@ def for_terminal(text: str) -> str:
     return "".join(c if c in KEPT or unicodedata.category(c) not in HIDDEN else ascii(c)[1:-1] for c in text)
 
 
+def plain_logger(name: str) -> logging.Logger:
+    """The logger of a module of the package: its lines act on no terminal, whoever formats them."""
+    log = logging.getLogger(name)
+    log.addFilter(_made_plain)  # once, however often
+    return log
+
+
+def _made_plain(record: logging.LogRecord) -> bool:
+    record.msg, record.args = for_terminal(record.getMessage()), ()
+    return True
+
+
 class PlainFormatter(logging.Formatter):
     """Lines of a log whose text acts on no terminal; the programs' logging is set to it, in conf/."""
 

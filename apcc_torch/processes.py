@@ -36,7 +36,7 @@ class Stopped(KeyboardInterrupt):
 
 
 @contextmanager
-def stoppable(told: Callable[[str], None]) -> Iterator[None]:
+def stoppable(told: Callable[[str], object]) -> Iterator[None]:
     """Ends a program that is asked to end with 128 + the signal's number, as a shell has it, and without a stack.
 
     Args:

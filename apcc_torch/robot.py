@@ -21,10 +21,10 @@ from apcc_torch.errors import one_sentence
 from apcc_torch.experiments.folder import metrics_text
 from apcc_torch.hardware.stops import exit_code_table
 from apcc_torch.paper import arm_series as arm_run
-from apcc_torch.plain_text import for_terminal
-from apcc_torch.sweeps.claim import held_folder, refusals
+from apcc_torch.plain_text import plain_logger
+from apcc_torch.sweeps.claim import check_options, given, held_folder, refusals
 
-log = logging.getLogger("apcc_torch.robot")
+log = plain_logger("apcc_torch.robot")
 
 
 ConfigStore.instance().store(name="realtime_schema", node=schema(RealtimeSettings))
@@ -36,12 +36,12 @@ OmegaConf.register_new_resolver("exit_codes", exit_code_table, replace=True)
 def _hydra_main(cfg: DictConfig) -> None:
     folder = Path(HydraConfig.get().runtime.output_dir)
     with one_sentence(log.error):
-        check_given(of_a_realtime_run, arm_run.planned(cfg), HydraConfig.get().overrides.task)
+        check_given(of_a_realtime_run, arm_run.planned(cfg), given())
         outcome, metrics = arm_run.run(cfg, folder)
     level = logging.ERROR if outcome.reason.failed else logging.INFO
     log.log(level, "%s: %s; the arm is %s", outcome.reason.value, outcome.message, outcome.state.value)
     if metrics:
-        log.info("results in %s\n%s", for_terminal(str(folder)), metrics_text(metrics))
+        log.info("results in %s\n%s", folder, metrics_text(metrics))
     sys.exit(outcome.exit_code)
 
 
@@ -50,6 +50,7 @@ def main() -> None:
     with held_folder(), refusals("robot"):
         check_words(sys.argv[1:], RealtimeSettings, "realtime")
         sys.argv[1:] = arm_override(for_manual(sys.argv[1:], "experiment=setpoint"))
+        check_options("robot")
         _hydra_main()
 
 

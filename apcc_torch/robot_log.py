@@ -16,6 +16,7 @@ from apcc_torch.experiments.realtime_run import replay_log
 from apcc_torch.hardware.log_export import write_parquet, write_rerun
 from apcc_torch.hardware.log_reader import RobotLog, read_log
 from apcc_torch.plain_text import for_terminal
+from apcc_torch.processes import stoppable
 
 TOLERANCE = 1e-9
 """Largest difference of a replayed command from the logged one that counts as the same, m."""
@@ -108,13 +109,14 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Console entry point; returns the exit code."""
     arguments = parser().parse_args(argv)
     damage: list[str] = []
-    try:
-        record = read_log(arguments.log)
-        damage = record.damage
-        text, code = COMMANDS[arguments.command][0](record, arguments)
-    except ApccError as error:
-        return refused(arguments.log, [str(error), *damage])
-    sys.stdout.write(for_terminal(f"{text}\n"))
+    with stoppable(lambda by: sys.stderr.write(f"stopped by {by}\n")):
+        try:
+            record = read_log(arguments.log)
+            damage = record.damage
+            text, code = COMMANDS[arguments.command][0](record, arguments)
+        except ApccError as error:
+            return refused(arguments.log, [str(error), *damage])
+        sys.stdout.write(for_terminal(f"{text}\n"))
     return refused(arguments.log, damage) if damage else code
 
 

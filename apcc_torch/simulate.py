@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import sys
 from functools import partial
 from pathlib import Path
@@ -22,14 +21,14 @@ from apcc_torch.conf_path import conf_path
 from apcc_torch.errors import one_sentence
 from apcc_torch.experiments.folder import metrics_text
 from apcc_torch.experiments.run import objective_in, run, settings_of
-from apcc_torch.plain_text import for_terminal
+from apcc_torch.plain_text import plain_logger
 from apcc_torch.sweeps import batch_run as batch
 from apcc_torch.sweeps.batch_points import batch_points, with_batch
 from apcc_torch.sweeps.callback import Sweep
-from apcc_torch.sweeps.claim import held_folder, refusals
+from apcc_torch.sweeps.claim import check_options, given, held_folder, refusals
 from apcc_torch.sweeps.job import run_job
 
-log = logging.getLogger("apcc_torch.simulate")
+log = plain_logger("apcc_torch.simulate")
 
 ConfigStore.instance().store(name="simulate_schema", node=schema(SimulateSettings))
 describe("simulate", SimulateSettings)
@@ -40,7 +39,7 @@ def _hydra_main(cfg: DictConfig) -> float | None:
     """One run, or one job of a sweep; returns the objective, which hydra's sweepers lower."""
     hydra_config = HydraConfig.get()
     folder = Path(hydra_config.runtime.output_dir)
-    overrides = list(hydra_config.overrides.task)
+    overrides = given()
     points = None
     if cfg.batch is not None:
         points = partial(batch_points, cfg, overrides, str(hydra_config.job.config_name))
@@ -52,7 +51,7 @@ def _hydra_main(cfg: DictConfig) -> float | None:
             check_given(of_a_simulation, [config], overrides)
         metrics = run(config, folder) if points is None else batch.run(config, points(), folder)
         value = objective_in(folder, config.objective)
-    log.info("results in %s\n%s", for_terminal(str(folder)), metrics_text(metrics))
+    log.info("results in %s\n%s", folder, metrics_text(metrics))
     return value
 
 
@@ -63,6 +62,7 @@ def main() -> None:
             with refusals("simulate"):
                 check_words(sys.argv[1:], SimulateSettings, "simulate")
                 sys.argv[1:] = with_batch(arm_override(for_manual(sys.argv[1:], "experiment=kinematic")))
+                check_options("simulate")
                 _hydra_main()
         except (Exception, SystemExit):  # a stop is told in a word
             Sweep.close()

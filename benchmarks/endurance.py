@@ -64,7 +64,8 @@ class Memory:
     """Reads this process's memory each second; `with` begins and ends it.
 
     Attributes:
-        samples: (time, s, and resident memory, kB).
+        samples: (time, s, and memory, kB) that the process wrote itself: of libraries the system takes pages away, and
+            gives them back, as others need room.
     """
 
     def __init__(self) -> None:
@@ -81,10 +82,9 @@ class Memory:
         self.thread.join()
 
     def _work(self) -> None:
-        page = os.sysconf("SC_PAGE_SIZE") / 1024
         while not self.over.wait(1.0):
-            resident = int(Path("/proc/self/statm").read_text().split()[1])
-            self.samples.append((time.monotonic(), page * resident))
+            told = Path("/proc/self/status").read_text().partition("RssAnon:")[2]
+            self.samples.append((time.monotonic(), float(told.split()[0])))
 
 
 def measure(config: RealtimeSettings, folder: Path) -> dict[str, float | str]:

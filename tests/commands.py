@@ -13,10 +13,7 @@ from started import ran
 
 ROOT = Path(apcc_torch.__file__).resolve().parents[1]
 
-QUICK = (
-    *("experiment=kinematic", "experiment.duration=0.1", "controller.rate=50", "controller.velocity=measured"),
-    "figures=false",
-)
+QUICK = ("experiment=kinematic", "experiment.duration=0.1", "controller.rate=50", "figures=false")
 """A run of a few steps."""
 
 

@@ -89,6 +89,15 @@ def test_help_teaches(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFix
         ("grid.setpoints=11", "grid.setpoints must be between 1 and 10, got 11"),
         ('experiments.common=["controller.gama=1"]', "controller.gama is no setting"),
         ('experiments.adaptive=["adaptation=none","adaptation.rate=1"]', "adaptation.rate is read by nothing"),
+        (
+            'experiments.common=["plant.refine=2","experiment.omega=2"]',
+            "experiment.omega is read by nothing: experiment.setpoints",
+        ),
+        (
+            'experiments.standard=["adaptation.rate=1"]',
+            "adaptation.rate is read by nothing: controller.adaptive is false",
+        ),
+        ('experiments.common=["jobs=3"]', "jobs is read by nothing: the benchmark runs its grids itself"),
         ("grid.comparisons.A.runs.run_1.standard=dynamic_run_7", "dynamic_run_7"),
         ("grid.comparisons.A.runs.run_1={standard: dynamic_run_1, adaptive: robot_2}", "same experiment.setpoints"),
     ],

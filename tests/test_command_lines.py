@@ -22,6 +22,11 @@ from apcc_torch.report import __main__ as report
         (simulate.main, "experiment=kinematic arm=naminal", "arm has no choice 'naminal'; it has arm_1, arm_2, "),
         (simulate.main, "experiment=kinematic feedback.mod=pose", "feedback.mod is no setting; did you mean mode?"),
         (simulate.main, "experiment=kinematic controller.K=[1,", "'controller.K=[1,' cannot be read: "),
+        (simulate.main, "experiment=null", "Config group override must be a string or a list"),
+        (simulate.main, "experiment=kinematic --multirum", "there is no argument --multirum; did you mean --multirun?"),
+        (simulate.main, "experiment=kinematic --config-name nope", "Cannot find primary config 'nope'"),
+        (robot.main, "--config-dir {}/nope experiment=setpoint", "nope"),
+        (benchmark.main, "--cfg x", "there is no x; it has job, hydra, all"),
         (simulate.main, "-cd {} experiment=kinematics", "did you mean kinematic?"),
         (robot.main, "experiment=setpont", "experiment has no choice 'setpont'; did you mean setpoint?"),
         (

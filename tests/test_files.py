@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 from collections.abc import Callable
 from pathlib import Path
 from random import Random
@@ -15,6 +16,7 @@ import torch
 
 from apcc_torch import files
 from apcc_torch.errors import DataError
+from apcc_torch.estimation.rest_calibration import RestCalibration
 from apcc_torch.files import (
     draft_of,
     json_in,
@@ -25,6 +27,12 @@ from apcc_torch.files import (
     write_json,
     yaml_in,
 )
+from apcc_torch.hardware.calibration_file import ArmCalibration
+from apcc_torch.hardware.log_reader import read_log
+from apcc_torch.model.arm import Arm
+from apcc_torch.model.mount import RigidMount
+from apcc_torch.recordings.recording import load_recording
+from apcc_torch.sweeps.sweep_folder import read_record
 from odd_values import damaged_bytes, odd_mapping, odd_text
 
 
@@ -154,3 +162,43 @@ def test_whatever_a_text_says_it_is_plain_values_or_refused(reader: Callable[[st
         except DataError as error:
             refused.append(str(error))
     assert len(refused) > 100 and all(said.startswith("it cannot be read: ") and "\n" not in said for said in refused)
+
+
+# Own files, which no one else writes; and what reads within a bound of its own.
+UNBOUNDED = {
+    "composition/help.py", "composition/schema.py", "files.py", "native/driver.py", "native/fingerprint.py",
+    "native/library.py", "native/source.py", "report/page/html.py", "report/pictures.py",
+}  # fmt: skip
+
+
+def test_nothing_else_reads_a_file_whole() -> None:
+    root = Path(files.__file__).parent
+    whole = r"\.read_(text|bytes)\((encoding|\))|json\.loads?\(|np\.load\(|yaml\.(safe_)?load\(|file\.read\(\)"
+    reads = re.compile(whole)
+    found = {
+        path.relative_to(root).as_posix()
+        for path in root.rglob("*.py")
+        if reads.search(path.read_text(encoding="utf-8"))
+    }
+    assert found <= UNBOUNDED, found - UNBOUNDED
+
+
+@pytest.mark.parametrize(
+    "read",
+    [
+        ArmCalibration.load,
+        RestCalibration.load,
+        Arm.load,
+        load_recording,
+        lambda p: RigidMount(p, "a"),
+        read_log,
+        read_record,
+    ],
+)
+def test_no_loader_waits_for_a_pipe_or_reads_for_ever(read: Callable[[Path], Any], tmp_path: Path) -> None:
+    pipe, endless = tmp_path / "pipe.yaml", tmp_path / "endless.yaml"
+    os.mkfifo(pipe)
+    endless.symlink_to("/dev/zero")
+    for path in (pipe, endless):
+        with pytest.raises(DataError, match="is no file"):
+            read(path)

@@ -22,7 +22,7 @@ MAX_LINES = 330
 # From the bottom up. A unit (a module, or a folder with all it holds) may import itself and the units of lower lines,
 # never another unit of its own line. The longest name wins: "report.__main__" is a program, the rest of report is not.
 LAYERS: tuple[tuple[str, ...], ...] = (
-    ("plain_text",),
+    ("beginning", "plain_text"),
     ("errors",),
     ("conf_path", "files", "modes", "processes", "spread"),
     ("annotations",),

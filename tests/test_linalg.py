@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from torch import Tensor
 
-from apcc_torch.linalg import inverse_spd3, solve_spd, solve_spd_unrolled
-from laws import generator, normal, seeds
+from apcc_torch.linalg import inverse_spd3, scaled_within, solve_spd, solve_spd_unrolled
+from laws import bits, generator, normal, seeds
 
 D = torch.float64
 
@@ -57,3 +59,37 @@ def test_inverse_spd3_of_an_indefinite_matrix_is_nan() -> None:
 def test_inverse_spd3_gradient() -> None:
     half = normal((3, 3), D, generator(3)).requires_grad_()
     assert torch.autograd.gradcheck(lambda h: inverse_spd3(h @ h.mT + torch.eye(3, dtype=D)), half)
+
+
+def rows(*values: float) -> Tensor:
+    return torch.tensor(values, dtype=D)
+
+
+@given(seed=seeds, bound=st.floats(1e-3, 1e3))
+def test_a_scaled_row_keeps_its_direction(seed: int, bound: float) -> None:
+    x = 10.0 * normal((4, 3), D, generator(seed))
+    found = scaled_within(x, bound)
+    for row, got in zip(x.tolist(), found.tolist(), strict=True):
+        largest = max(abs(value) for value in row)
+        want = row if largest <= bound else [value * bound / largest for value in row]
+        assert got == pytest.approx(want, rel=1e-12, abs=0.0)
+
+
+def test_each_row_is_scaled_by_its_own_bound() -> None:
+    x = rows(-4.0, 0.5, 2.0).expand(3, 3)
+    found = scaled_within(x, rows(4.0, 2.0, 0.4))
+    torch.testing.assert_close(found, x * rows(1.0, 0.5, 0.1).unsqueeze(-1))
+    # What is within its bound is left as it is, zero too.
+    assert torch.equal(bits(found[0]), bits(x[0])) and not bool(scaled_within(0.0 * x, 1.0).any())
+    assert scaled_within(x, None) is x
+
+
+def test_a_bad_row_stays_alone() -> None:
+    x = torch.stack((rows(1.0, 2.0), rows(torch.nan, 1.0), rows(torch.inf, 1.0), rows(3.0, 0.0)))
+    alone = scaled_within(x[[0, 3]], 1.0)
+    assert torch.equal(bits(scaled_within(x, 1.0)[[0, 3]]), bits(alone))
+
+
+def test_some_entries_alone_may_be_bounded() -> None:
+    x = rows(-4.0, 0.5, 9.0)
+    assert scaled_within(x, 1.0, of=x[:2]).tolist() == [-1.0, 0.125, 2.25]

@@ -12,9 +12,10 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
+import apcc_torch
 from apcc_torch.conf_path import conf_path
 from apcc_torch.errors import DataError, one_sentence
-from apcc_torch.plain_text import for_spreadsheet, for_terminal
+from apcc_torch.plain_text import for_spreadsheet, for_terminal, plain_logger
 
 ACTING = "\x1b\x9b\x07\x08\r\x00\x7f\x85\u202e\u2066\u200f\u2028\ufeff\ud800"
 HOSTILE = st.text(st.one_of(st.sampled_from(ACTING + "=+-@\t\n '\"1"), st.characters()), max_size=12)
@@ -77,3 +78,17 @@ def test_every_line_of_a_programs_log_is_plain(name: str, logging: str) -> None:
     formatter = DictConfigurator({}).configure_formatter({"format": "[%(levelname)s] %(message)s", **settings})
     record = makeLogRecord({"levelname": "ERROR", "msg": "failed: %s\n  %s", "args": ("a\x1b[1A", "b\u202e")})
     assert formatter.format(record) == "[ERROR] failed: a\\x1b[1A\n  b\\u202e"
+
+
+def test_every_module_tells_in_plain_text() -> None:
+    modules = [path for path in Path(apcc_torch.__file__).parent.rglob("*.py") if path.name != "plain_text.py"]
+    asking = {path.name for path in modules if "getLogger(" in path.read_text(encoding="utf-8")}
+    assert asking == {"own_process.py"}, "only for its level"
+
+
+def test_a_line_is_plain_whoever_formats_it(caplog: pytest.LogCaptureFixture) -> None:
+    log = plain_logger("apcc_torch.told")
+    assert plain_logger("apcc_torch.told") is log
+    log.warning("failed: %s, %d of %s", "a\x1b[1A\u202e", 3, Path("b\r"))
+    log.warning("100%s", "%")
+    assert caplog.messages == ["failed: a\\x1b[1A\\u202e, 3 of b\\r", "100%"]

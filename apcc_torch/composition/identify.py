@@ -18,6 +18,8 @@ from apcc_torch.model.arm import Arm
 from apcc_torch.recordings.recording import detect_layout
 from apcc_torch.settings import MANY, OURS, check_choice, names, setting
 
+MOST_HEADER = 2**20
+"""Characters of a recording's first line that are looked at."""
 GEOMETRY = (
     "rest_length",
     "angle",
@@ -135,7 +137,7 @@ def known_arm(data: str) -> str | None:
     file = path / "recording.csv" if path.is_dir() else path
     if file.is_file():
         with file.open(encoding="utf-8-sig", errors="replace") as lines:
-            header = {name.strip() for name in lines.readline().split(",")}
+            header = {name.strip() for name in lines.readline(MOST_HEADER).split(",")}
         if {"servo_1_mm", "tip_x"} <= header:
             return "ftdcr_v6"
     return "trunk" if detect_layout(path) == "trunk" else None

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -82,15 +82,38 @@ def of_a_realtime_run(c: RealtimeSettings) -> Unread:
     yield from of_a_run(c)
     yield "controller.rate", "loop.rate is the rate here"
     yield "experiment.start_errors experiment.start_error", "an arm is one row"
-    if e.kind != "tendons":
+    if e.kind == "tendons":
+        yield "adaptation bounds controller.adaptive", "the tendons go their own way, and the rest lengths stay"
+    else:
         yield "ramp", "experiment.kind is not tendons"
     if e.kind != "dynamic" or not e.setpoints:
         yield "guards.arrival_error guards.arrival_dwell", "there is no set-point to arrive at"
+    if e.kind == "calibration":
+        yield from _of_a_calibration(c)
+    elif c.calibration.file is None:
+        yield "calibration", "calibration.file names none"
     if not any(isinstance(device, SIMULATED) for device in (c.hardware.actuator, c.hardware.sensor)):
         yield "plant sensors", "the arm is a real one"
-    if c.calibration.file is None and e.kind != "calibration":
-        yield "calibration", "calibration.file names none"
     if not c.series.runs and not c.series.sampled:
         yield "series", "there are no series.runs"
     if c.series.sampled:
         yield "series.runs", "series.sampled draws the runs"
+
+
+def _of_a_calibration(c: RealtimeSettings) -> Unread:
+    """What the measurement of a hanging arm does not read."""
+    confirmed = ("id", "lengths", *names(ConfirmationSettings))
+    yield _below("calibration", confirmed), "a run that uses the calibration reads it, and this one makes it"
+    groups = "model feedback pose_filter velocity_filter controller adaptation bounds integral divergence"
+    targets = ("setpoints", "subset", "r_0", "A", "omega", "first_estimate", "duration")
+    yield f"{groups} {_below('experiment', targets)}", "a calibration runs no controller"
+    loop = [name for name in names(LoopSettings) if name != "rate"]
+    guards = [name for name in names(GuardSettings) if name not in ("limits", "effort_cap")]
+    yield f"view log {_below('loop', loop)} {_below('guards', guards)}", "a calibration runs no loop"
+    if not c.calibration.check_signs:
+        pulled = "loop.rate guards.limits guards.effort_cap calibration.pull"
+        yield pulled, "calibration.check_signs is false, and no tendon is pulled"
+
+
+def _below(group: str, keys: Iterable[str]) -> str:
+    return " ".join(f"{group}.{key}" for key in keys)

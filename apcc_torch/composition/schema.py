@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
+from traceback import walk_tb
 from typing import Any, TypeVar
 
 from omegaconf import DictConfig, OmegaConf
@@ -15,7 +16,7 @@ from omegaconf.errors import OmegaConfBaseException
 
 from apcc_torch.classes import Trust
 from apcc_torch.conf_path import conf_path
-from apcc_torch.errors import ConfigError, DataError, one_sentence
+from apcc_torch.errors import ApccError, ConfigError, DataError, in_a_line, one_sentence
 from apcc_torch.files import yaml_in
 from apcc_torch.reading import check_key, defaults, nested_in, plain, read
 from apcc_torch.settings import Settings, about_of, close, default_of, did_you_mean, keys
@@ -26,6 +27,7 @@ OTHERS = re.compile(r"-(cd|cp|cn|sc|-config-(dir|path|name)|-shell-completion)\b
 """Options of hydra that bring a user's own configurations, which may hold keys of their own, or no settings at all."""
 
 
+_HYDRAS = ("hydra", "hydra_plugins", "omegaconf")
 _RAISES = "HYDRA_FULL_ERROR"
 """With it hydra raises what it refuses; it prints it otherwise, with all that there is to choose from and where."""
 
@@ -86,26 +88,32 @@ def groups(config: str) -> dict[str, tuple[str, ...]]:
 
 
 @contextmanager
-def refused_in_a_sentence(tell: Callable[[str], object], *refusals: type[Exception]) -> Iterator[None]:
+def refused_in_a_sentence(tell: Callable[[str], object]) -> Iterator[None]:
     """Runs a program of hydra's: what hydra refuses ends it with exit code 2 and one sentence, not hydra's pages.
 
     Args:
         tell: What takes the sentence.
-        *refusals: What hydra raises.
     """
-    refused: tuple[type[Exception], ...] = (OmegaConfBaseException, *refusals)
     with one_sentence(tell):
         before = os.environ.get(_RAISES)
         os.environ[_RAISES] = "1"
         try:
             yield
-        except refused as error:
+        except Exception as error:
+            if isinstance(error, ApccError) or not _is_hydras(error):
+                raise
             raise ConfigError(sentence(error)) from error
         finally:
             if before is None:
                 del os.environ[_RAISES]
             else:
                 os.environ[_RAISES] = before
+
+
+def _is_hydras(error: Exception) -> bool:
+    """Whether hydra raised it, or what hydra calls, and not a program that it runs: it has a dozen kinds of errors."""
+    packages = [frame.f_globals.get("__name__", "").partition(".")[0] for frame, _ in walk_tb(error.__traceback__)]
+    return next((name for name in reversed(packages) if name in ("apcc_torch", *_HYDRAS)), "") in _HYDRAS
 
 
 def _check_path(path: Sequence[str], root: type[Settings]) -> None:
@@ -121,7 +129,7 @@ def _check_path(path: Sequence[str], root: type[Settings]) -> None:
 def sentence(error: Exception) -> str:
     """What hydra or OmegaConf say of an error, as one sentence; of a choice that there is not, with what there is."""
     said, _, options = str(error).partition("Available options in ")
-    lines = [line.strip() for line in said.strip().splitlines()]
+    lines = [line.strip() for line in said.strip().splitlines()] or [in_a_line(error)]
     choice = re.search(r"Could not find '([\w/]+)/([^/']+)'", lines[0])
     if options and choice is not None:
         names = options.partition("Config search path")[0].split()[1:]
@@ -150,7 +158,8 @@ def values_of(cfg: DictConfig) -> dict[str, Any]:
     try:
         values = OmegaConf.to_container(OmegaConf.masked_copy(cfg, [str(k) for k in cfg if k != "hydra"]), resolve=True)
     except OmegaConfBaseException as error:
-        raise ConfigError(sentence(error)) from error
+        at = f"{error.full_key}: " if getattr(error, "full_key", None) else ""
+        raise ConfigError(f"{at}{sentence(error)}") from error
     assert isinstance(values, Mapping)  # of a DictConfig
     return {str(key): value for key, value in values.items()}
 

@@ -58,10 +58,12 @@ def of_a_run(c: RunSettings, velocity: bool = False) -> Unread:
     elif law is None:
         why = "there is no law of the rest lengths, adaptation is none"
         yield "bounds", why
-    elif c.controller.velocity == "commanded":
-        why = "controller.velocity is commanded, and it filters the measured one"
     elif not law.needs_velocity:
         why = f"{law.__name__} needs no velocity"
+    if why is not None:
+        yield "controller.velocity", why
+    elif c.controller.velocity == "commanded":
+        why = "controller.velocity is commanded, and it filters the measured one"
     if why is not None and not velocity:
         yield "velocity_filter", why
     if c.feedback.mode == "position":

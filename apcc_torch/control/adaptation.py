@@ -8,10 +8,10 @@ from typing import Any, ClassVar, Self
 import torch
 from torch import Tensor
 
-from apcc_torch.control.bounds import scaled_within
 from apcc_torch.control.gain import check_gain, gain_matrix
 from apcc_torch.control.length_law import LawStep, LengthLaw, Memory
 from apcc_torch.estimation.state_feedback import StateFeedback
+from apcc_torch.linalg import scaled_within
 from apcc_torch.model.coordinates import Coordinates
 from apcc_torch.part import hold_rows
 from apcc_torch.settings import OURS, PAPER, Setting, Settings, aligned, is_on, resolved, setting

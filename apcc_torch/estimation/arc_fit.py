@@ -8,7 +8,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from apcc_torch.linalg import solve_spd
+from apcc_torch.linalg import scaled_within, solve_spd
 from apcc_torch.model.abscissae import located
 from apcc_torch.model.kinematic_model import KinematicModel
 from apcc_torch.part import Part, hold_rows
@@ -102,7 +102,7 @@ class ArcFit(Part):
         H = H + DAMPING * torch.diag_embed(H.diagonal(dim1=-2, dim2=-1))
         g = (J.mT @ r.unsqueeze(-1)).squeeze(-1) + backbone.coordinates.on_elongations(away)
         step = solve_spd(H, g.unsqueeze(-1)).squeeze(-1)
-        step = step / (step.abs().amax(-1, keepdim=True) / LARGEST_STEP).clamp(min=1.0)
+        step = scaled_within(step, LARGEST_STEP)
         moved = q + torch.where(torch.isfinite(step).all(-1, keepdim=True), step, 0.0)
         free = torch.full_like(moved, -torch.inf)
         return torch.maximum(moved, backbone.coordinates.with_elongations(free, SHORTEST * nominal - pi_hat))

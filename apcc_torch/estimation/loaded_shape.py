@@ -20,7 +20,7 @@ from torch import Tensor
 
 from apcc_torch.errors import ConfigError
 from apcc_torch.lie import so3
-from apcc_torch.linalg import solve_spd
+from apcc_torch.linalg import scaled_within, solve_spd
 from apcc_torch.model.abscissae import located
 from apcc_torch.model.arm import Arm
 from apcc_torch.model.dynamics import SoftArmDynamics
@@ -175,7 +175,7 @@ class LoadedShape(Part):
         last = torch.cat((torch.zeros_like(strain), torch.ones_like(state.load).unsqueeze(-1)), dim=-1)
         solved = solve_spd(H, torch.stack(((J.mT @ r.unsqueeze(-1)).squeeze(-1) - pull, last), dim=-1))
         step = solved[..., 0]
-        step = step / (step[..., :-1].abs().amax(-1, keepdim=True) / LARGEST_STEP).clamp(min=1.0)
+        step = scaled_within(step, LARGEST_STEP, of=step[..., :-1])
         moved = ShapeState(
             state.sections + step[..., :-1],
             (state.load + step[..., -1]).clamp(min=0.0),

@@ -11,8 +11,8 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from apcc_torch.errors import DataError, in_a_line
-from apcc_torch.files import write_atomically
+from apcc_torch.errors import DataError
+from apcc_torch.files import json_in, read_text, write_atomically
 from apcc_torch.shapes import check_finite, check_tensor
 
 VERSION = 1
@@ -122,13 +122,7 @@ class RestCalibration:
         Raises:
             DataError: The file is missing, damaged, or of another kind or version.
         """
-        try:
-            content = json.loads(Path(path).read_text(encoding="utf-8"))
-        except OSError as error:
-            raise DataError(f"{path}: cannot be read ({error.strerror})") from error
-        except (ValueError, RecursionError) as error:
-            raise DataError(f"{path}: is not a JSON file ({in_a_line(error)})") from error
-        return RestCalibration.of(content, path)
+        return RestCalibration.of(json_in(read_text(path), str(path)), path)
 
     @staticmethod
     def of(content: object, path: str | Path) -> RestCalibration:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from contextlib import ExitStack
 from datetime import UTC, datetime
 from pathlib import Path
@@ -24,8 +23,9 @@ from apcc_torch.hardware.records import Outcome
 from apcc_torch.hardware.states import State
 from apcc_torch.hardware.stop_request import StopRequest
 from apcc_torch.hardware.stops import Halt, Stop, StopReason
+from apcc_torch.plain_text import plain_logger
 
-log = logging.getLogger(__name__)
+log = plain_logger(__name__)
 
 KIND, CALIBRATION = "calibration", "calibration.json"
 

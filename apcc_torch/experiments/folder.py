@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import logging
 import platform
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sized
@@ -20,9 +19,10 @@ from tqdm import tqdm
 import apcc_torch
 from apcc_torch.errors import WriteError
 from apcc_torch.files import draft_of, write_arrays, write_json
+from apcc_torch.plain_text import plain_logger
 from apcc_torch.simulation.progress import Progress, quiet
 
-log = logging.getLogger(__name__)
+log = plain_logger(__name__)
 
 _told: ContextVar[Path | None] = ContextVar("progress_file", default=None)
 _TELL_EVERY = 0.5

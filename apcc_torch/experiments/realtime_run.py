@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import sys
 import time
 from contextlib import ExitStack
@@ -37,11 +36,12 @@ from apcc_torch.hardware.stop_request import StopRequest
 from apcc_torch.hardware.stops import StopReason
 from apcc_torch.hardware.summary import Summary
 from apcc_torch.hardware.view import LiveView
+from apcc_torch.plain_text import plain_logger
 from apcc_torch.simulation.divergence import sentence
 from apcc_torch.simulation.kinematic import KinematicLog
 from apcc_torch.simulation.metrics import backbone_error
 
-log = logging.getLogger(__name__)
+log = plain_logger(__name__)
 
 LOG, CONFIG, CALIBRATION = "log.mcap", "config.yaml", "calibration.json"
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import shutil
 from collections.abc import Mapping
@@ -17,7 +16,7 @@ from apcc_torch.composition.schema import text, typed
 from apcc_torch.errors import ConfigError
 from apcc_torch.experiments.folder import versions
 from apcc_torch.experiments.kinds import KINDS, Kind, kind_of
-from apcc_torch.files import write_atomically, write_json
+from apcc_torch.files import json_in, read_text, write_atomically, write_json
 from apcc_torch.reading import plain
 
 METRICS, PRUNED = "metrics.json", "pruned.json"
@@ -89,7 +88,7 @@ def objective_in(folder: Path, name: str | None) -> float | None:
         return None
     if (folder / PRUNED).is_file():
         return math.inf
-    return objective_value(json.loads((folder / METRICS).read_text(encoding="utf-8")), name)
+    return objective_value(json_in(read_text(folder / METRICS), METRICS), name)
 
 
 def _tried(experiment: Kind, config: SimulateSettings, folder: Path, after: float) -> dict[str, float]:

@@ -8,9 +8,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
 
-from apcc_torch.errors import DataError, in_a_line
+from apcc_torch.errors import DataError
 from apcc_torch.estimation.rest_calibration import RestCalibration
-from apcc_torch.files import write_json
+from apcc_torch.files import json_in, read_text, write_atomically
 
 KIND, VERSION = "apcc_torch.arm_calibration", 1
 
@@ -54,7 +54,7 @@ class ArmCalibration:
 
     def save(self, path: Path | str) -> Path:
         """Writes the file whole, or not at all."""
-        return write_json(path, json.loads(self.text()))
+        return write_atomically(path, self.text())
 
     @staticmethod
     def load(path: Path | str) -> ArmCalibration:
@@ -63,12 +63,7 @@ class ArmCalibration:
         Raises:
             DataError: It is missing, damaged, changed by hand, or of another kind or version.
         """
-        try:
-            content = json.loads(Path(path).read_text(encoding="utf-8"))
-        except OSError as error:
-            raise DataError(f"the calibration {path} cannot be read: {error.strerror}") from error
-        except (ValueError, RecursionError) as error:
-            raise DataError(f"the calibration {path} is not a JSON file: {in_a_line(error)}") from error
+        content = json_in(read_text(path), f"the calibration {path}")
         if not isinstance(content, dict) or content.get("kind") != KIND:
             raise DataError(f"{path} is not the calibration of an arm")
         if content.get("version") != VERSION:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import math
 import os
 from collections import defaultdict
@@ -17,8 +16,9 @@ from numpy.typing import NDArray
 from apcc_torch.errors import ConfigError, DataError, in_a_line
 from apcc_torch.files import json_in
 from apcc_torch.hardware.log_format import EVENT_TOPIC, Layout, layout_of
+from apcc_torch.plain_text import plain_logger
 
-log = logging.getLogger(__name__)
+log = plain_logger(__name__)
 
 EVENT: dict[str, tuple[type, ...]] = {
     "time": (float, int),

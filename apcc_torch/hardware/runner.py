@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from contextlib import ExitStack
 
 import torch
@@ -17,8 +16,9 @@ from apcc_torch.hardware.records import Outcome
 from apcc_torch.hardware.setup import Setup
 from apcc_torch.hardware.states import State
 from apcc_torch.hardware.stops import Ending, Halt, Stop, StopReason
+from apcc_torch.plain_text import plain_logger
 
-log = logging.getLogger(__name__)
+log = plain_logger(__name__)
 
 
 class Runner:

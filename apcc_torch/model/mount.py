@@ -18,6 +18,7 @@ import torch
 from torch import Tensor
 
 from apcc_torch.errors import DataError
+from apcc_torch.files import read_text
 from apcc_torch.lie import se3
 from apcc_torch.model.abscissae import decouple
 from apcc_torch.model.kinematic_model import KinematicModel
@@ -240,8 +241,8 @@ class MountedArm(Part):
 
 def _text_of(path: Path) -> str:
     try:
-        return path.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
+        return read_text(path).removeprefix("\ufeff")
+    except DataError as error:
         raise DataError(f"{path} cannot be read as a mount's URDF: {error}") from error
 
 

@@ -12,7 +12,7 @@ from functools import cache
 from pathlib import Path
 
 from apcc_torch.errors import CompileError
-from apcc_torch.native.library import keep, private_folder
+from apcc_torch.native.library import BUILD, keep, swept_folder
 from apcc_torch.native.source import Source
 from apcc_torch.processes import process_group
 
@@ -78,9 +78,9 @@ def built(source: Source, name: str) -> Path:
     Raises:
         CompileError: There is no compiler, it refuses, or the library cannot be kept.
     """
-    home = private_folder()
+    home = swept_folder()
     try:
-        with tempfile.TemporaryDirectory(dir=home) as folder:
+        with tempfile.TemporaryDirectory(prefix=BUILD, dir=home) as folder:
             return keep(_compile(compiler(), source, Path(folder)).read_bytes(), name)
     except OSError as error:
         raise CompileError(f"machine code cannot be built in {home}: {error.strerror or error}") from error

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from typing import Any, Protocol
 
 import torch
@@ -10,8 +9,9 @@ from torch import nn
 
 from apcc_torch.errors import CompileError, ValueRangeError
 from apcc_torch.native.function import NativeFunction
+from apcc_torch.plain_text import plain_logger
 
-log = logging.getLogger(__name__)
+log = plain_logger(__name__)
 
 MODES = ("off", "inductor", "aot", "auto")
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ctypes
 import json
-import logging
 from collections.abc import Callable
 from typing import Any, NamedTuple, Self
 
@@ -13,8 +12,9 @@ import torch
 from apcc_torch.native.build import built, kept_name
 from apcc_torch.native.library import alone, cache_folder, keep, kept, loaded
 from apcc_torch.native.source import Source
+from apcc_torch.plain_text import plain_logger
 
-log = logging.getLogger(__name__)
+log = plain_logger(__name__)
 
 
 class Program(NamedTuple):

@@ -5,20 +5,26 @@ from __future__ import annotations
 import ctypes
 import fcntl
 import hashlib
-import logging
 import os
+import shutil
 import stat
+import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
 from apcc_torch.errors import CompileError
 from apcc_torch.files import write_atomically
+from apcc_torch.plain_text import plain_logger
 
-log = logging.getLogger(__name__)
+log = plain_logger(__name__)
 
 OTHERS = stat.S_IWGRP | stat.S_IWOTH
+BUILD = "build_"
+"""How the folder of a build begins, which ends with the build."""
+ABANDONED = 3600.0
+"""After this time, in which none of its files came or went, s, nobody works on a build any more."""
 
 
 def cache_folder() -> Path:
@@ -49,6 +55,20 @@ def private_folder() -> Path:
     except OSError as error:
         raise _unkept(error) from error
     check_private(folder)
+    return folder
+
+
+def swept_folder() -> Path:
+    """The same, without what builds left that were killed.
+
+    Raises:
+        CompileError: As `private_folder`.
+    """
+    folder = private_folder()
+    for left in [*folder.glob(f"{BUILD}*"), *folder.glob(".*.draft.*")]:
+        with suppress(OSError):  # another process may sweep it as well
+            if time.time() - left.stat().st_mtime > ABANDONED:
+                shutil.rmtree(left) if left.is_dir() else left.unlink()
     return folder
 
 

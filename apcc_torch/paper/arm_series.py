@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -21,10 +20,11 @@ from apcc_torch.hardware.records import Outcome
 from apcc_torch.hardware.stops import StopReason
 from apcc_torch.paper import mapping_study, state_feedback_study
 from apcc_torch.paper.tendon_samples import sampled_runs
+from apcc_torch.plain_text import plain_logger
 from apcc_torch.report.style import Draw, save_figures
 from apcc_torch.settings import check_choice
 
-log = logging.getLogger(__name__)
+log = plain_logger(__name__)
 
 Study = Callable[[Path, Sequence[str]], tuple[dict[str, float], dict[str, Draw]]]
 """Writes the tables of a series; returns its metrics, and what draws its figures."""
@@ -56,7 +56,9 @@ def planned(cfg: DictConfig) -> list[RealtimeSettings]:
         ConfigError, ValueRangeError: A setting has no meaning.
     """
     settings = typed(cfg, RealtimeSettings)
-    return [typed(_changed(cfg, changes), RealtimeSettings) for changes in runs_of(settings).values()] or [settings]
+    runs = [typed(_changed(cfg, changes), RealtimeSettings) for changes in runs_of(settings).values()]
+    # Each is one of the series, which reads its own keys.
+    return [run.changed(series=settings.series) for run in runs] or [settings]
 
 
 def runs_of(settings: RealtimeSettings) -> Mapping[str, Sequence[str]]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import io
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -12,6 +13,10 @@ import torch
 from torch import Tensor
 
 from apcc_torch.errors import DataError
+from apcc_torch.files import read_text
+
+MOST_TABLE = 2**30
+"""Largest recording that is read, bytes."""
 
 
 @dataclass(frozen=True)
@@ -77,30 +82,27 @@ def read_table(path: Path, words: Sequence[str] = ()) -> CsvTable:
     rows: list[list[float]] = []
     texts: dict[str, list[str]] = {name: [] for name in words}
     try:
-        with path.open(newline="", encoding="utf-8-sig") as file:
-            reader = csv.reader(file)
-            header = [name.strip() for name in next(reader, [])]
-            for row in reader:
-                if not row:
-                    continue
-                if len(row) != len(header):
-                    raise DataError(
-                        f"{path}, line {reader.line_num}: the line has {len(row)} cells where the header has "
-                        f"{len(header)} (from column {header[min(len(row), len(header) - 1)]!r} on)"
-                    )
-                for name in words:
-                    if name not in header:
-                        raise DataError(f"{path}, column {name!r}: the column is missing")
-                    texts[name].append(row[header.index(name)])
-                    row[header.index(name)] = ""
-                try:
-                    rows.append([_number(cell) for cell in row])
-                except ValueError:
-                    raise _not_a_number(path, header, row, reader.line_num) from None
-                lines.append(reader.line_num)
-    except OSError as error:
-        raise DataError(f"{path}: cannot be read ({error.strerror})") from error
-    except (UnicodeDecodeError, csv.Error) as error:
+        reader = csv.reader(io.StringIO(read_text(path, MOST_TABLE).removeprefix("\ufeff"), newline=""))
+        header = [name.strip() for name in next(reader, [])]
+        for row in reader:
+            if not row:
+                continue
+            if len(row) != len(header):
+                raise DataError(
+                    f"{path}, line {reader.line_num}: the line has {len(row)} cells where the header has "
+                    f"{len(header)} (from column {header[min(len(row), len(header) - 1)]!r} on)"
+                )
+            for name in words:
+                if name not in header:
+                    raise DataError(f"{path}, column {name!r}: the column is missing")
+                texts[name].append(row[header.index(name)])
+                row[header.index(name)] = ""
+            try:
+                rows.append([_number(cell) for cell in row])
+            except ValueError:
+                raise _not_a_number(path, header, row, reader.line_num) from None
+            lines.append(reader.line_num)
+    except csv.Error as error:
         raise DataError(f"{path}: is not a CSV text file ({error})") from error
     if not rows:
         raise DataError(f"{path}: holds no data lines")

@@ -18,6 +18,7 @@ from apcc_torch.composition.arguments import Arguments
 from apcc_torch.errors import DataError, in_a_line, one_sentence
 from apcc_torch.experiments.redrawing import draw_anew
 from apcc_torch.files import write_atomically
+from apcc_torch.processes import stoppable
 from apcc_torch.report import pictures
 from apcc_torch.report.collect import collect
 from apcc_torch.report.page.html import Page
@@ -211,7 +212,7 @@ def report(given: argparse.Namespace) -> list[Path]:
 
 def main(argv: Sequence[str] | None = None) -> None:
     """Console entry point."""
-    with one_sentence(warn):
+    with stoppable(lambda by: warn(f"stopped by {by}")), one_sentence(warn):
         written = report(arguments(argv))
     sys.stdout.write("\nwritten: " + ", ".join(line(str(path)) for path in written) + "\n")
 

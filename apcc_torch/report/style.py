@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import logging
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -20,6 +19,7 @@ from torch import Tensor
 
 from apcc_torch.errors import in_a_line
 from apcc_torch.files import write_atomically
+from apcc_torch.plain_text import plain_logger
 
 Array = NDArray[Any]
 
@@ -40,7 +40,7 @@ LOOK = {key: value for key, value in rcParamsDefault.items() if not key.startswi
 Draw = Callable[[], Figure]
 """Draws a figure when it is called."""
 
-log = logging.getLogger(__name__)
+log = plain_logger(__name__)
 _tell: ContextVar[Callable[[str], object]] = ContextVar("tell", default=log.warning)
 
 

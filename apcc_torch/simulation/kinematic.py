@@ -8,12 +8,11 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
-from apcc_torch.control.bounds import scaled_within
 from apcc_torch.control.controller import APCCController
 from apcc_torch.control.step_io import ControllerState, Measurement
 from apcc_torch.control.trajectory import Trajectory
 from apcc_torch.errors import ValueRangeError
-from apcc_torch.linalg import damped_pseudo_inverse
+from apcc_torch.linalg import damped_pseudo_inverse, scaled_within
 from apcc_torch.model.abscissae import decouple
 from apcc_torch.model.kinematic_model import KinematicModel
 from apcc_torch.modes import holds

@@ -6,13 +6,14 @@ children, or a cluster that shares the folder.
 
 from __future__ import annotations
 
-import json
 import sys
 import threading
 from typing import NamedTuple, Never, TextIO
 
 from tqdm import tqdm
 
+from apcc_torch.errors import DataError
+from apcc_torch.files import json_in, read_text
 from apcc_torch.plain_text import for_terminal
 from apcc_torch.sweeps.sweep_folder import PROGRESS, SweepFolder, job_name
 
@@ -36,11 +37,11 @@ def running(folder: SweepFolder) -> list[Running]:
     result = []
     for draft in folder.drafts():
         try:
-            told = json.loads((draft / PROGRESS).read_text(encoding="utf-8"))
-        except OSError:
+            told = json_in(read_text(draft / PROGRESS), PROGRESS)
+            share = told["done"] / told["steps"] if told["steps"] else 0.0
+            result.append(Running(job_name(draft), str(told["label"]), share))
+        except (DataError, KeyError, TypeError):
             continue  # not begun, or just ended: the folder is another process's to move
-        share = told["done"] / told["steps"] if told["steps"] else 0.0
-        result.append(Running(job_name(draft), told["label"], share))
     return sorted(result, key=lambda job: (len(job.name), job.name))
 
 

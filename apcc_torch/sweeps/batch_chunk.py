@@ -2,24 +2,20 @@
 
 from __future__ import annotations
 
-import json
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import numpy as np
-import torch
-
 from apcc_torch.composition.run_settings import SimulateSettings
 from apcc_torch.composition.schema import text
 from apcc_torch.composition.stacking import Point, stacked
-from apcc_torch.errors import ApccError
+from apcc_torch.errors import ApccError, DataError, in_a_line
 from apcc_torch.experiments.folder import RunFolder
 from apcc_torch.experiments.kinds import BATCHED, kind_of
 from apcc_torch.experiments.run import objective_value
-from apcc_torch.files import write_atomically, write_json
+from apcc_torch.files import json_in, read_arrays, read_text, write_atomically, write_json
 from apcc_torch.simulation.progress import Progress
 
 Tell = Callable[[float], None]
@@ -133,18 +129,23 @@ def save(point: Point, outcome: Any, metrics: Mapping[str, float], folder: Path)
 def draw(config: SimulateSettings, folder: Path) -> None:
     """The figures of a run folder that `save` wrote."""
     kind = kind_of(config, BATCHED)
-    with np.load(folder / "trajectory.npz") as data:
-        tensors = {name: torch.from_numpy(data[name]) for name in data.files}
-    kind.draw(kind.loaded(config, tensors), folder / "figures")
+    kind.draw(kind.loaded(config, read_arrays(folder / "trajectory.npz")), folder / "figures")
 
 
 def read_part(path: Path) -> ChunkResult:
-    """A chunk's file."""
-    entry = json.loads(path.read_text(encoding="utf-8"))
-    return ChunkResult(
-        {int(index): metrics for index, metrics in entry["metrics"].items()},
-        {int(index): why for index, why in entry["failed"].items()},
-    )
+    """A chunk's file.
+
+    Raises:
+        DataError: It cannot be read, or holds something else.
+    """
+    entry = json_in(read_text(path), path.name)
+    try:
+        metrics = {int(index): dict(each) for index, each in entry["metrics"].items()}
+        if not all(isinstance(value, int | float) for each in metrics.values() for value in each.values()):
+            raise ValueError("a metric is no number")
+        return ChunkResult(metrics, {int(index): str(why) for index, why in entry["failed"].items()})
+    except (AttributeError, KeyError, TypeError, ValueError) as error:
+        raise DataError(f"{path.name} is no chunk of a batch: {in_a_line(error)}") from error
 
 
 def is_finite(metrics: Mapping[str, float], objective: str) -> bool:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import json
+import math
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -24,6 +25,8 @@ from apcc_torch.composition.unread import check_given, of_a_simulation
 from apcc_torch.errors import ConfigError
 from apcc_torch.reading import read
 
+MOST = 100_000
+"""Points of a sweep: each is composed, and checked, before the first is run."""
 FLAG = "--batch"
 """On the command line: the sweeps after it are rows of one tensor batch."""
 
@@ -100,6 +103,8 @@ def points_of(cfg: DictConfig, ours: Sequence[str], config_name: str, swept: Ite
         ConfigError, ValueRangeError: An override or a point's settings have no meaning.
     """
     axes = [_choices(cfg, override) for override in swept]
+    if math.prod(map(len, axes)) > MOST:
+        raise ConfigError(f"a sweep may have {MOST} points, got {' times '.join(str(len(axis)) for axis in axes)}")
     bases: dict[tuple[str, ...], _Base] = {}
     points = []
     for index, chosen in enumerate(itertools.product(*axes)):
@@ -178,7 +183,10 @@ def _choices(cfg: DictConfig, override: Override) -> list[Choice]:
         raise ConfigError(f"batch needs values to go through, but {override.input_line} is an interval")
     with _naming(str(override.input_line)):
         parser = OverridesParser.create()
-        return [_choice(cfg, parser.parse_override(f"{key}={text}")) for text in texts]
+        few = list(itertools.islice(texts, MOST + 1))
+        if len(few) > MOST:
+            raise ConfigError(f"a sweep may have {MOST} points, and {override.input_line} has more")
+        return [_choice(cfg, parser.parse_override(f"{key}={text}")) for text in few]
 
 
 def _choice(cfg: DictConfig, override: Override) -> Choice:

@@ -6,7 +6,6 @@ import csv
 import hashlib
 import io
 import json
-import logging
 import math
 import multiprocessing
 import shutil
@@ -22,17 +21,17 @@ import torch
 from apcc_torch.composition.build import Builder
 from apcc_torch.composition.run_settings import SimulateSettings
 from apcc_torch.composition.stacking import Point, structure
-from apcc_torch.errors import ConfigError
+from apcc_torch.errors import ConfigError, DataError
 from apcc_torch.experiments.folder import progress_bar, versions
 from apcc_torch.experiments.kinds import BATCHED, kind_of
 from apcc_torch.experiments.run import METRICS
 from apcc_torch.files import write_atomically, write_json
-from apcc_torch.plain_text import for_spreadsheet
+from apcc_torch.plain_text import for_spreadsheet, plain_logger
 from apcc_torch.processes import workers
 from apcc_torch.reading import plain
 from apcc_torch.sweeps.batch_chunk import ChunkResult, Task, chosen, compute, draw, is_finite, rank, read_part
 
-log = logging.getLogger("apcc_torch.simulate")
+log = plain_logger("apcc_torch.simulate")
 
 OBJECTIVE = "shape_error_mean_mm"
 """Ranks points where `objective` is null."""
@@ -87,9 +86,10 @@ def run(config: SimulateSettings, points: Sequence[Point], folder: Path) -> dict
         settings = " ".join(f"{key}={value}" for key, value in points[index].settings.items())
         log.error("point %d failed, %s: %s", index, settings, why)
     order = rank(whole.metrics, objective)
-    _keep([points[index] for index in chosen(order, kept)], parts, folder, config)
     write_atomically(folder / "points.csv", table(points, whole))
     write_json(folder / "versions.json", {**versions(), "seed": config.seed})
+    shown = [points[index] for index in chosen(order, kept)]
+    _keep(shown, parts, folder, config)
     diverged = [index for index in sorted(whole.metrics) if not is_finite(whole.metrics[index], objective)]
     if diverged:
         named = ", ".join(map(str, diverged[:10])) + (", …" if len(diverged) > 10 else "")
@@ -104,6 +104,8 @@ def run(config: SimulateSettings, points: Sequence[Point], folder: Path) -> dict
     }
     write_json(folder / METRICS, totals)
     shutil.rmtree(parts, ignore_errors=True)
+    for point in shown if config.figures else ():
+        draw(point.config, folder / "points" / str(point.number))
     return totals
 
 
@@ -161,7 +163,11 @@ def gathered(parts: Path) -> ChunkResult:
     """All finished chunks as one."""
     whole = ChunkResult({}, {})
     for path in sorted(parts.glob("*.json")):
-        part = read_part(path)
+        try:
+            part = read_part(path)
+        except DataError as error:
+            log.warning("%s; its points are run again", error)
+            continue
         whole.metrics.update(part.metrics)
         whole.failed.update(part.failed)
     return whole
@@ -182,7 +188,7 @@ def table(points: Sequence[Point], whole: ChunkResult) -> str:
 
 
 def _keep(points: Sequence[Point], parts: Path, folder: Path, config: SimulateSettings) -> None:
-    """Puts the folders of the best and the worst points into place, with their figures."""
+    """Puts the folders of the best and the worst points into place; the parts stay until all is there."""
     shutil.rmtree(folder / "points", ignore_errors=True)
     for point in points:
         draft = parts / "points" / str(point.number)
@@ -190,10 +196,7 @@ def _keep(points: Sequence[Point], parts: Path, folder: Path, config: SimulateSe
             # A chunk that was computed when fewer were to be kept.
             compute(Task("alone", [point], parts / "again", config.objective or OBJECTIVE, (1, 0)), lambda _: None)
             draft = parts / "again" / "points" / str(point.number)
-        if config.figures:
-            draw(point.config, draft)
-        (folder / "points").mkdir(parents=True, exist_ok=True)
-        shutil.move(draft, folder / "points" / str(point.number))
+        shutil.copytree(draft, folder / "points" / str(point.number))
 
 
 def _work(tasks: Sequence[Task], total: int, done: int, config: SimulateSettings) -> None:

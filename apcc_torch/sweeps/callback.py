@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import math
 import os
 import warnings
@@ -21,16 +20,17 @@ from apcc_torch.composition.run_settings import SimulateSettings
 from apcc_torch.composition.schema import typed
 from apcc_torch.composition.unread import check_given, of_a_simulation
 from apcc_torch.conf_path import conf_path
-from apcc_torch.errors import ConfigError, one_sentence
+from apcc_torch.errors import ApccError, ConfigError, DataError
 from apcc_torch.experiments.run import PRUNED, objective_in
+from apcc_torch.plain_text import plain_logger
 from apcc_torch.processes import again
 from apcc_torch.sweeps.bars import SweepBars
 from apcc_torch.sweeps.batch_points import points_of
-from apcc_torch.sweeps.claim import Claim, dir_override
+from apcc_torch.sweeps.claim import Claim, dir_override, given, or_no_run
 from apcc_torch.sweeps.job import HEAD
-from apcc_torch.sweeps.sweep_folder import FAILED, JOB, NOT_THE_RUN, Failure, SweepFolder, read_record
+from apcc_torch.sweeps.sweep_folder import FAILED, NOT_THE_RUN, Failure, SweepFolder, read_job, read_record
 
-log = logging.getLogger("apcc_torch.simulate")
+log = plain_logger("apcc_torch.simulate")
 
 # Meant: our launchers' values, checked against their plugins' types.
 warnings.filterwarnings("ignore", message=r"\s*'hydra/launcher/\w+' is validated against ConfigStore schema")
@@ -80,7 +80,7 @@ def planned(config: DictConfig) -> Plan:
 def _sweeps(config: DictConfig) -> tuple[list[Override], dict[str, Override]]:
     """The overrides of the command line and the chosen sweep, and the sweeps among them by what they sweep."""
     params = [f"{key}={value}" for key, value in (config.hydra.sweeper.get("params") or {}).items()]
-    overrides = OverridesParser.create().parse_overrides([*params, *config.hydra.overrides.task])
+    overrides = OverridesParser.create().parse_overrides([*params, *given(config.hydra)])
     last = {override.get_key_element().lstrip("+~"): override for override in overrides}
     return overrides, {key: override for key, override in last.items() if override.is_sweep_override()}
 
@@ -188,12 +188,12 @@ class OpenSweep:
         """Names the jobs that failed, were pruned or never ran, and the best one; returns the exit code."""
         self.bars.stop()
         finished = sorted(self.folder.finished(), key=lambda folder: (len(folder.name), folder.name))
-        overrides = {folder: [str(o) for o in read_record(folder / JOB)["overrides"]] for folder in finished}
+        overrides = {folder: read_job(folder)["overrides"] for folder in finished}
         brief = {folder: self.plan.brief(overrides[folder]) for folder in finished}
         failures = [self._known(failure) for failure in self.folder.failures()]
         for folder in finished:
             if (folder / PRUNED).is_file():
-                log.info("pruned: %s, %s: %s", folder.name, brief[folder], read_record(folder / PRUNED)["why"])
+                log.info("pruned: %s, %s: %s", folder.name, brief[folder], _why_pruned(folder))
         for failure in failures:
             log.error("failed: %s, %s: %s", failure.folder.name, self.plan.brief(failure.overrides), failure.why)
         known = {job_key(o) for o in [*overrides.values(), *(failure.overrides for failure in failures)]}
@@ -201,7 +201,7 @@ class OpenSweep:
         for job in missing:
             log.error("not finished: %s", self.plan.brief(job))
         if self.objective is not None and finished:
-            values = {folder: objective_in(folder, self.objective) or 0.0 for folder in finished}
+            values = {folder: _objective(folder, self.objective) for folder in finished}
             best = min(finished, key=lambda folder: values[folder])
             if math.isfinite(values[best]):
                 log.info("best %s: %.6g, in %s, %s", self.objective, values[best], best.name, brief[best])
@@ -226,7 +226,7 @@ class Sweep(Claim):
 
     def on_multirun_start(self, config: DictConfig, **_: Any) -> None:
         """Checks what can be checked, clears the folder, starts the bars."""
-        with one_sentence(log.error):
+        with or_no_run():
             side_by_side(config)
             for plugin in (config.hydra.launcher, config.hydra.sweeper):
                 check_installed(str(plugin._target_))
@@ -271,6 +271,22 @@ class Sweep(Claim):
         """Ends the sweep, if there was one; returns the exit code that it asks for."""
         sweep, Sweep.current = Sweep.current, None
         return 0 if sweep is None else sweep.close()
+
+
+def _why_pruned(folder: Path) -> str:
+    try:
+        return str(read_record(folder / PRUNED, "why")["why"])
+    except DataError as error:
+        return str(error)
+
+
+def _objective(folder: Path, name: str) -> float:
+    """A finished job's objective; infinite where it cannot be read."""
+    try:
+        return objective_in(folder, name) or 0.0
+    except ApccError as error:
+        log.error("%s: %s", folder.name, error)
+        return math.inf
 
 
 def job_key(overrides: Iterable[str]) -> frozenset[str]:

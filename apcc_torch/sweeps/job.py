@@ -16,12 +16,13 @@ from apcc_torch.composition.stacking import Point
 from apcc_torch.errors import ApccError
 from apcc_torch.experiments.folder import metrics_text, progress_told
 from apcc_torch.experiments.run import objective_in, run, settings_of
+from apcc_torch.plain_text import plain_logger
 from apcc_torch.processes import end_with
 from apcc_torch.sweeps import batch_run as batch
 from apcc_torch.sweeps.own_process import run_isolated
 from apcc_torch.sweeps.sweep_folder import PROGRESS, SweepFolder, job_name
 
-log = logging.getLogger("apcc_torch.simulate")
+log = plain_logger("apcc_torch.simulate")
 
 HEAD = "APCC_SWEEP_HEAD"
 """Environment variable with the process that a launcher's workers end with."""

@@ -20,8 +20,11 @@ from typing import Any, NamedTuple
 from apcc_torch.composition.run_settings import SimulateSettings
 from apcc_torch.errors import ConfigError, DataError
 from apcc_torch.experiments.run import PRUNED, pruning
-from apcc_torch.files import write_json
+from apcc_torch.files import json_in, read_text, write_json
+from apcc_torch.plain_text import plain_logger
 from apcc_torch.reading import plain
+
+log = plain_logger("apcc_torch.simulate")
 
 JOB, FAILURE, PROGRESS = "job.json", "failure.json", "progress.json"
 DRAFT = re.compile(r"\.(?P<name>.+)\.\d+\.draft")
@@ -57,17 +60,26 @@ def job_name(draft: Path) -> str:
     return folders["name"]
 
 
-def read_record(path: Path) -> dict[str, Any]:
+def read_record(path: Path, *keys: str) -> dict[str, Any]:
     """What a job's JSON file says.
 
     Raises:
-        DataError: It cannot be read.
+        DataError: It cannot be read, or lacks one of the keys.
     """
-    try:
-        record: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise DataError(f"{path} is not a readable record of a job: {error}") from error
+    record = json_in(read_text(path), path.name)
+    if not isinstance(record, dict) or any(key not in record for key in keys):
+        raise DataError(f"{path.name} must hold {', '.join(keys)}")
     return record
+
+
+def read_job(folder: Path) -> dict[str, Any]:
+    """The record of a finished job; where it is damaged, of a job that nobody looks for, with a warning."""
+    try:
+        record = read_record(folder / JOB, "overrides", "fingerprint")
+        return record | {"overrides": [str(override) for override in record["overrides"]]}
+    except (DataError, TypeError) as error:
+        log.warning("%s counts for nothing: %s", folder, error)
+        return {"overrides": [], "fingerprint": None}
 
 
 class SweepFolder:
@@ -97,10 +109,10 @@ class SweepFolder:
         folders = []
         for folder in self.path.glob(f"*{FAILED}"):
             try:
-                record = read_record(folder / FAILURE)
-            except DataError:  # there was no room for it
-                record = {"overrides": [], "why": "for a reason that could not be recorded"}
-            folders.append(Failure(folder, [str(o) for o in record["overrides"]], str(record["why"])))
+                record = read_record(folder / FAILURE, "overrides", "why")
+                folders.append(Failure(folder, [str(o) for o in record["overrides"]], str(record["why"])))
+            except (DataError, TypeError):  # there was no room for it
+                folders.append(Failure(folder, [], "for a reason that could not be recorded"))
         return sorted(folders, key=lambda failure: (len(failure.folder.name), failure.folder.name))
 
     def find(self, config: SimulateSettings, name: str) -> Path | None:
@@ -113,7 +125,7 @@ class SweepFolder:
         wanted = fingerprint(config)
         first = self.path / name
         for folder in chain([first] if (first / JOB).is_file() else [], self.finished()):
-            if read_record(folder / JOB)["fingerprint"] == wanted and _still_pruned(folder, config):
+            if read_job(folder)["fingerprint"] == wanted and _still_pruned(folder, config):
                 return folder
         return None
 
@@ -150,7 +162,7 @@ class SweepFolder:
 
     def rename_job(self, folder: Path, overrides: Sequence[str]) -> None:
         """Notes how the sweep calls a finished job now, if an earlier one called it differently."""
-        record = read_record(folder / JOB)
+        record = read_job(folder)
         if record["overrides"] != list(overrides):
             write_json(folder / JOB, {**record, "overrides": list(overrides)})
 
@@ -169,7 +181,10 @@ def _still_pruned(folder: Path, config: SimulateSettings) -> bool:
     record = folder / PRUNED
     if not record.is_file():
         return True
-    then = read_record(record)
+    try:
+        then = read_record(record)
+    except DataError:
+        return False  # it is run again
     return all(then.get(key) == value for key, value in pruning(config).items())
 
 

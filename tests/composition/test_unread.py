@@ -12,9 +12,10 @@ from apcc_torch.composition.run_settings import ON_AN_ARM, RunSettings, Simulate
 from apcc_torch.composition.unread import check_given, of_a_simulation
 from apcc_torch.errors import ConfigError
 from apcc_torch.experiments import dynamic, kinematic
+from apcc_torch.paper import arm_series
 from apcc_torch.settings import names
 from apcc_torch.simulation.progress import quiet
-from composed import changed, composed, composed_identify, composed_realtime
+from composed import changed, composed, composed_identify, composed_realtime, raw_realtime
 
 QUICK = ("experiment.duration=0.1", "controller.rate=50")
 SHORT = (*QUICK, "experiment.setpoints=[[0.1,0.1,-0.5]]", "experiment.payloads=[0.1]", "plant.settle=0.1")
@@ -29,6 +30,8 @@ SHORT = (*QUICK, "experiment.setpoints=[[0.1,0.1,-0.5]]", "experiment.payloads=[
             "controller.velocity is commanded",
         ),
         ("dynamic_run_2", ("velocity_filter.window=25",), "ShapeLaw needs no velocity"),
+        ("dynamic_run_2", ("controller.velocity=commanded",), "ShapeLaw needs no velocity"),
+        ("kinematic", ("controller.adaptive=false", "controller.velocity=commanded"), "controller.adaptive is false"),
         ("kinematic", ("controller.adaptive=false", "adaptation.gamma=3"), "controller.adaptive is false"),
         ("kinematic", ("plant.pid.K_P=3",), "experiment kinematic has no forces"),
         ("kinematic", ("arm.mass=2",), "experiment kinematic has no forces"),
@@ -100,6 +103,47 @@ def test_what_nothing_in_a_run_in_real_time_reads(words: tuple[str, ...], why: s
     base = ("experiment=setpoint", "adaptation=normalised")
     with pytest.raises(ConfigError, match=f"is read by nothing: {why}"):
         check_given(of_a_realtime_run, [composed_realtime(*base, *words)], words)
+
+
+@pytest.mark.parametrize(
+    ("words", "why"),
+    [
+        (("controller.K=3",), "a calibration runs no controller"),
+        (("adaptation=none",), "a calibration runs no controller"),
+        (("experiment.duration=3",), "a calibration runs no controller"),
+        (("view=false",), "a calibration runs no loop"),
+        (("loop.hold=0",), "a calibration runs no loop"),
+        (("guards.overruns=3",), "a calibration runs no loop"),
+        (("calibration.rest_tolerance=0.1",), "a run that uses the calibration reads it"),
+        (("calibration.pull=0.01",), r"calibration\.check_signs is false"),
+        (("loop.rate=100",), r"calibration\.check_signs is false"),
+        (("ramp.duration=3",), "experiment.kind is not tendons"),
+    ],
+)
+def test_what_no_calibration_reads(words: tuple[str, ...], why: str) -> None:
+    with pytest.raises(ConfigError, match=f"is read by nothing: {why}"):
+        check_given(of_a_realtime_run, [composed_realtime("experiment=calibration", *words)], words)
+
+
+def test_a_series_reads_its_own_keys() -> None:
+    planned = arm_series.planned(raw_realtime("experiment=experiment_2"))
+    assert len(planned) > 1
+    check_given(of_a_realtime_run, planned, ["series.only=[run_1]", "series.figures=false"])
+    with pytest.raises(ConfigError, match=r"ramp\.goal is read by nothing: experiment\.kind is not tendons"):
+        check_given(of_a_realtime_run, planned, ["ramp.goal=[1]"])
+
+
+def test_what_a_calibration_reads() -> None:
+    read = (
+        "calibration.frames=3",
+        "calibration.file=x",
+        "plant.pid.K_P=3",
+        "hardware.sensor.rate=90",
+        "arm.base=standing",
+    )
+    pulled = ("calibration.check_signs=true", "loop.rate=100", "guards.effort_cap=50", "calibration.pull=0.01")
+    for words in (read, pulled):
+        check_given(of_a_realtime_run, [composed_realtime("experiment=calibration", *words)], words)
 
 
 def test_what_no_fit_reads() -> None:

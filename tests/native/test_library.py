@@ -17,7 +17,7 @@ from torch import Tensor, nn
 from apcc_torch.errors import CompileError
 from apcc_torch.native.compiled import TorchStep, compiled
 from apcc_torch.native.function import NativeFunction
-from apcc_torch.native.library import cache_folder, keep, kept
+from apcc_torch.native.library import BUILD, cache_folder, keep, kept, swept_folder
 
 
 class Doubles(nn.Module):
@@ -209,3 +209,19 @@ def test_what_torch_cannot_compile_is_one_sentence() -> None:
     step = compiled(Branches(), (ONE,), "inductor")
     with pytest.raises(CompileError, match=r"^Branches is not compiled by torch; compile=off runs it eagerly: .+$"):
         step(ONE)
+
+
+def test_a_build_that_was_killed_is_swept_away_once_nobody_can_work_on_it(folder: Path) -> None:
+    NativeFunction(Doubles(), (ONE,))(ROWS)
+    assert not [path for path in folder.iterdir() if path.is_dir()]
+    old, fresh = folder / f"{BUILD}old", folder / f"{BUILD}fresh"
+    draft, other = folder / ".x.7.draft.so", folder / "mine"
+    for made in (old, fresh, other):
+        made.mkdir(parents=True)
+        (made / "0.cpp").write_text("x")
+    draft.touch()
+    for each in (old, draft, other):
+        os.utime(each, (1.0, 1.0))
+    assert swept_folder() == folder
+    assert not old.exists() and not draft.exists() and fresh.exists() and other.exists()
+    assert any(path.suffix == ".so" for path in folder.iterdir())

@@ -13,12 +13,13 @@ from omegaconf import OmegaConf
 from apcc_torch.composition.stacking import Point
 from apcc_torch.conf_path import conf_path
 from apcc_torch.errors import ApccError, ConfigError
+from apcc_torch.sweeps import batch_points as module
 from apcc_torch.sweeps.batch_points import batch_points, with_batch
 from composed import composed
 
 
 def points(batch: str | list[str], *overrides: str) -> list[Point]:
-    given = ["experiment=kinematic", "controller.velocity=measured", *overrides]
+    given = ["experiment=kinematic", *overrides]
     with initialize_config_dir(conf_path(), version_base="1.3"):
         cfg = compose("simulate", given)
         OmegaConf.update(cfg, "batch", batch)
@@ -51,7 +52,7 @@ def jobs(*swept: str) -> list[list[str]]:
     ],
 )
 def test_a_point_is_the_job_of_its_number(swept: list[str]) -> None:
-    base = ("experiment=kinematic", "controller.velocity=measured", "controller.rate=50")
+    base = ("experiment=kinematic", "controller.rate=50")
     shuffled = any("shuffle" in entry for entry in swept)
     found = points(swept, "controller.rate=50")
     expected = jobs(*swept)
@@ -99,6 +100,15 @@ def test_what_has_no_meaning_is_named(batch: list[str], named: str) -> None:
     with pytest.raises(ApccError, match=named) as caught:
         points(batch)
     assert "\n" not in str(caught.value)
+
+
+def test_too_many_points_are_refused_before_they_are_made(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "MOST", 5)
+    with pytest.raises(ConfigError, match=r"seed=range\(0,1e12\) has more"):
+        points(["seed=range(0,1e12)"])
+    with pytest.raises(ConfigError, match="a sweep may have 5 points, got 3 times 2"):
+        points(["seed=1,2,3", "controller.K=1,2"])
+    assert len(points(["seed=1,2,3,4,5"])) == 5
 
 
 def test_batch_must_be_texts() -> None:

@@ -269,3 +269,38 @@ def test_killed_and_resumed_nothing_is_lost(tmp_path: Path) -> None:
     assert [int(row["point"]) for row in rows] == list(range(24)) and "are there already" in done.stdout
     kept = {i: metrics for content in finished.values() for i, metrics in json.loads(content)["metrics"].items()}
     assert all(float(rows[int(i)]["wall_s"]) == metrics["wall_s"] for i, metrics in kept.items())
+
+
+@pytest.mark.parametrize("where", ["copytree", "draw"])
+def test_numbers_are_there_before_the_kept_points_are(
+    where: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    points = product("kinematic", KINEMATIC, controller__K=("1", "2", "3"))
+
+    def stops(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(batch.shutil if where == "copytree" else batch, where, stops)
+        with pytest.raises(KeyboardInterrupt):
+            batch.run(base("figures=true", "batch_kept=2"), points, tmp_path)
+    assert len(table(tmp_path)) == 3
+    assert (tmp_path / "metrics.json").exists() == (where == "draw")
+    kept = list(tmp_path.glob("points/*/metrics.json"))
+    assert len(kept) == (2 if where == "draw" else 0) and bool(list(tmp_path.glob(".batch_*"))) != bool(kept)
+    if where == "copytree":
+        monkeypatch.setattr(batch, "compute", stops)
+        batch.run(base("resume=true", "batch_kept=2"), points, tmp_path)
+        assert len(list(tmp_path.glob("points/*/metrics.json"))) == 2
+
+
+@pytest.mark.parametrize(
+    "content", ["{", "[]", '{"metrics": {"0": 3}, "failed": {}}', '{"metrics": {"0": {"a": "b"}}, "failed": {}}']
+)
+def test_a_damaged_chunk_is_run_again(content: str, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    points = product("kinematic", KINEMATIC, controller__K=("1",))
+    parts = batch.parts_folder(base("resume=true"), points, tmp_path)
+    parts.mkdir()
+    (parts / "from_0.json").write_text(content)
+    assert batch.run(base("resume=true"), points, tmp_path)["points"] == 1
+    assert "from_0.json" in caplog.text and "its points are run again" in caplog.text

@@ -9,16 +9,16 @@ import sys
 import threading
 from pathlib import Path
 
+import hypothesis
 import pytest
 from hydra.core.override_parser.overrides_parser import OverridesParser
-from hypothesis import given
 from hypothesis import strategies as st
 from omegaconf import DictConfig, OmegaConf
 
 from apcc_torch import benchmark, identify, robot, simulate
 from apcc_torch.errors import ConfigError
 from apcc_torch.processes import again
-from apcc_torch.sweeps.claim import RESULTS, Claim, dir_override, place
+from apcc_torch.sweeps.claim import RESULTS, Claim, dir_override, given, place
 from apcc_torch.sweeps.folder_lock import FolderLock
 
 
@@ -44,6 +44,15 @@ def test_a_folder_is_held_by_one_and_free_afterwards(tmp_path: Path) -> None:
     FolderLock(tmp_path / "new").release()
 
 
+def test_a_link_is_no_lock(tmp_path: Path) -> None:
+    (tmp_path / "mine").write_text("kept")
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / ".lock").symlink_to(tmp_path / "mine")
+    with pytest.raises(ConfigError, match=r"run cannot be written to: .*symbolic links"):
+        Claim.take(config("run", str(tmp_path / "run"), "hydra.run.dir=x"), "hydra.run.dir", "")
+    assert (tmp_path / "mine").read_text() == "kept"
+
+
 def test_a_killed_process_holds_nothing(tmp_path: Path) -> None:
     told, tells = os.pipe()
     pid = os.fork()
@@ -65,6 +74,7 @@ def test_a_killed_process_holds_nothing(tmp_path: Path) -> None:
     FolderLock(tmp_path).release()
 
 
+@pytest.mark.filterwarnings("error::pytest.PytestUnhandledThreadExceptionWarning")
 def test_two_never_hold_it_however_they_meet(tmp_path: Path) -> None:
     holders, most, times = [0], [0], [0]
 
@@ -117,6 +127,13 @@ def test_results_are_written_over_only_where_that_is_asked_for(
 ) -> None:
     (tmp_path / inner).mkdir(exist_ok=True)
     (tmp_path / inner / name).write_text("{}")
+    beside = [
+        tmp_path / inner / old for old in ("trajectory.npz", "points.csv", "figures/A/old.png", "points/3/config.yaml")
+    ]
+    own = [tmp_path / inner / kept for kept in ("notes.txt", "figures/mine.svg", "arm.yaml")]
+    for path in [*beside, *own]:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.touch()
     key = f"hydra.{kind}.dir"
     with pytest.raises(ConfigError, match=rf"holds results \({inner}{name}\).*{key}=DIR, or overwrite=true"):
         Claim.take(config(kind, str(tmp_path), f"{key}=x"), key, results)
@@ -124,6 +141,7 @@ def test_results_are_written_over_only_where_that_is_asked_for(
     Claim.held.release()
     Claim.take(config(kind, str(tmp_path), f"{key}=x", overwrite=True), key, results)
     assert not (tmp_path / inner / name).exists()
+    assert not any(path.exists() for path in beside) and all(path.exists() for path in own)
 
 
 @pytest.mark.parametrize("name", ["file", "file/below"])
@@ -133,7 +151,7 @@ def test_a_folder_that_cannot_be_is_named(tmp_path: Path, name: str) -> None:
         Claim.take(config("run", str(tmp_path / name), "hydra.run.dir=x"), "hydra.run.dir", "")
 
 
-@given(st.text(st.sampled_from("aZ0 _-./\\'\"[]{}()*?,=:~$@#%&|;<>!`+é\t\n"), min_size=1, max_size=12))
+@hypothesis.given(st.text(st.sampled_from("aZ0 _-./\\'\"[]{}()*?,=:~$@#%&|;<>!`+é\t\n"), min_size=1, max_size=12))
 def test_a_pasted_command_names_the_same_folder(name: str) -> None:
     folder = Path("/" + name)
     was, sys.orig_argv = (
@@ -198,3 +216,52 @@ def test_every_program_refuses_what_is_there(program: str, tmp_path: Path, caplo
     assert main(program) == 2
     assert f"is in use by process {os.getpid()} on" in caplog.text
     lock.release()
+
+
+WRONG = {
+    "simulate": ("experiment=kinematic", "experiment.duration=-1"),
+    "benchmark": ("grid=small", "grid.setpoints=1000"),
+    "identify": ("arm=ftdcr_v6", "data=none"),
+    "robot": ("experiment=setpoint", "experiment.setpoints=[[0,0,0],[0,0,0.1]]"),
+}
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_what_is_refused_leaves_no_folder(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    quiet = ("hydra/job_logging=none", "hydra/hydra_logging=none")
+    monkeypatch.setattr(sys, "argv", [name, *WRONG[name], f"hydra.run.dir={tmp_path / 'a' / 'run'}", *quiet])
+    assert main(name) == 2 and caplog.text.count("ERROR") == 1
+    assert not list(tmp_path.iterdir())
+    (tmp_path / "a" / "run").mkdir(parents=True)
+    assert main(name) == 2
+    assert (tmp_path / "a" / "run").is_dir(), "a folder of the user's stays"
+
+
+def test_of_a_refusal_in_the_middle_of_the_work_everything_stays(tmp_path: Path) -> None:
+    Claim.take(config("run", str(tmp_path / "run"), "hydra.run.dir=x"), "hydra.run.dir", "")
+    for name in (".hydra/config.yaml", "simulate.log", "config.yaml"):
+        (tmp_path / "run" / name).parent.mkdir(exist_ok=True)
+        (tmp_path / "run" / name).touch()
+    (tmp_path / "run" / "log.mcap").touch()
+    Claim.forget()
+    assert (tmp_path / "run" / "config.yaml").exists()
+    (tmp_path / "run" / "log.mcap").unlink()
+    Claim.forget()
+    assert not (tmp_path / "run").exists()
+
+
+def test_no_run_begins_without_its_folder(caplog: pytest.LogCaptureFixture) -> None:
+    """Hydra would warn of a callback's error, and go on."""
+    asked = config("run", "${nope}", "hydra.run.dir=x")
+    with pytest.raises(SystemExit) as ended:
+        Claim().on_run_start(asked)
+    assert ended.value.code == 2 and "Interpolation key 'nope' not found" in caplog.text
+
+
+@pytest.mark.parametrize("value", ["${controller.null_gain}", "${nope}", "1.5"])
+def test_words_are_given_as_they_were_written(value: str) -> None:
+    made = OmegaConf.create({"overrides": {"task": [f"controller.K={value}"]}})
+    assert isinstance(made, DictConfig)
+    assert given(made) == [f"controller.K={value}"]

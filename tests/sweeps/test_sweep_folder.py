@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from apcc_torch.composition.run_settings import SimulateSettings
-from apcc_torch.errors import ConfigError, DataError
+from apcc_torch.errors import ConfigError
 from apcc_torch.sweeps.bars import SweepBars
 from apcc_torch.sweeps.callback import OpenSweep, Plan
 from apcc_torch.sweeps.job import run_job
@@ -143,8 +143,19 @@ def test_a_draft_must_say_its_jobs_name(name: str) -> None:
     assert job_name(Path(".gamma=1.5,K=2.20260101.draft")) == "gamma=1.5,K=2"
 
 
-def test_a_broken_record_is_named(sweep: SweepFolder) -> None:
-    place = sweep.publish(draft(sweep, "0"), settings(), [])
-    (place / "job.json").write_text("{")
-    with pytest.raises(DataError, match=r"job\.json"):
-        sweep.find(settings(), "0")
+@pytest.mark.parametrize(
+    "content", ["{", "[]", "{}", '{"overrides": 3, "fingerprint": ""}', "[" * 9999, "9" * 9999, "\xff"]
+)
+def test_a_broken_record_is_named_and_costs_its_job_alone(
+    content: str, sweep: SweepFolder, caplog: pytest.LogCaptureFixture
+) -> None:
+    for name, seed in (("0", "1"), ("1", "2")):
+        sweep.publish(draft(sweep, name), settings(f"seed={seed}"), [f"seed={seed}"])
+    (sweep.path / "0" / "job.json").write_text(content, encoding="latin-1")
+    assert sweep.find(settings("seed=1"), "0") is None and sweep.find(settings("seed=2"), "0") == sweep.path / "1"
+    assert f"{sweep.path / '0'} counts for nothing: " in caplog.text
+    caplog.clear()
+    plan = Plan(2, frozenset({"seed"}), [["seed=1"], ["seed=2"]])
+    (sweep.path / "1" / "pruned.json").write_text(content, encoding="latin-1")
+    assert OpenSweep(sweep, plan, "a", SweepBars(sweep, 2), True).close() == 1
+    assert "not finished: seed=1" in caplog.text and "not finished: seed=2" not in caplog.text

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import time
 from collections.abc import Mapping
 
@@ -19,8 +18,9 @@ from apcc_torch.hardware.dynamixel.spool import Spools, Ticks
 from apcc_torch.hardware.dynamixel.status import MotorStatus
 from apcc_torch.hardware.dynamixel.zero_mark import check_mark, leave_mark
 from apcc_torch.hardware.interfaces import Array, TendonActuator, TendonReading, check_library
+from apcc_torch.plain_text import plain_logger
 
-log = logging.getLogger(__name__)
+log = plain_logger(__name__)
 
 FASTEST = 110 / 60 * TICKS_PER_TURN  # ticks/s; the motor turns 95 rev/min at its highest voltage, without load
 JUMP = TICKS_PER_TURN / 8  # ticks beyond the fastest motion that are no motion

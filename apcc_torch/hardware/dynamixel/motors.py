@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Mapping
 
 from apcc_torch.errors import CommunicationError, DeviceFaultError, HardwareError
@@ -58,8 +57,9 @@ from apcc_torch.hardware.dynamixel.status import (
     indirect_addresses,
 )
 from apcc_torch.hardware.dynamixel.zero_mark import erase_mark
+from apcc_torch.plain_text import plain_logger
 
-log = logging.getLogger(__name__)
+log = plain_logger(__name__)
 
 # Let go on overload (bit 5), electrical shock (4) and overheating (2): the motor's own default.
 SHUTDOWN_BITS = 0b11_0100

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import logging
 import time
 
 from apcc_torch.errors import CommunicationError
+from apcc_torch.plain_text import plain_logger
 
 try:
     from dynamixel_sdk import PortHandler
@@ -13,7 +13,7 @@ try:
 except ModuleNotFoundError:  # the settings can be read all the same; who builds the driver is told
     PortHandler = object
 
-log = logging.getLogger(__name__)
+log = plain_logger(__name__)
 
 BITS_PER_BYTE = 10
 # s that one read sleeps for bytes. The SDK polls; without this it spins, and starves whatever else needs the core.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import selectors
 import socket
 import threading
@@ -15,13 +14,14 @@ from apcc_torch.hardware.optitrack.counts import Counts
 from apcc_torch.hardware.optitrack.limited_log import LimitedLog
 from apcc_torch.hardware.optitrack.packets import MAX_DATAGRAM
 from apcc_torch.hardware.optitrack.settings import OptiTrackSettings
+from apcc_torch.plain_text import plain_logger
 
 _TEND = 0.05  # s between two calls of `tend` at most
 _BATCH = 64  # datagrams taken from a socket before `tend` gets its turn
 # Linux: without this set to 0, a socket also hears its group on interfaces that other programs joined it on.
 _IP_MULTICAST_ALL = 49
 
-log = logging.getLogger(__name__)
+log = plain_logger(__name__)
 
 
 def _udp_socket() -> socket.socket:

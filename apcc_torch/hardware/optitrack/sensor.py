@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import logging
 import threading
 import time
 
@@ -19,6 +18,7 @@ from apcc_torch.hardware.optitrack.limited_log import LimitedLog
 from apcc_torch.hardware.optitrack.receiver import Receiver
 from apcc_torch.hardware.optitrack.settings import OptiTrackSettings
 from apcc_torch.hardware.optitrack.tracker import OptiTrackSample, Tracker, readonly
+from apcc_torch.plain_text import plain_logger
 
 _ASK_AGAIN = 0.2  # s between two requests that the server has not answered
 
@@ -54,7 +54,7 @@ class OptiTrackSensor(PoseSensor):
         self._given_base = base
         self._changed = threading.Condition()
         self._counting = threading.Lock()
-        self._log = LimitedLog(logging.getLogger(__name__))
+        self._log = LimitedLog(plain_logger(__name__))
         self._forget()
 
     def _forget(self) -> None:
