@@ -1,0 +1,27 @@
+"""The rows of the leaderboard: a method more is its class, and a line here."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from apcc_torch.evaluation import arm_methods, learning, sections_methods
+from apcc_torch.evaluation.method import Known, Method
+
+METHODS: dict[str, Callable[[Known], Method]] = {
+    "mean": learning.Mean,
+    "linear": learning.Linear,
+    "kernel ridge": learning.KernelMethod,
+    "kernel ridge, split at slack": learning.KernelAtSlack,
+    "random forest": learning.Forest,
+    "MLP": learning.Network,
+    "PCC as built": arm_methods.AsBuilt,
+    "PCC identified": arm_methods.IdentifiedGeometry,
+    "arm identified": arm_methods.IdentifiedArm,
+    "arm identified, payload followed": arm_methods.IdentifiedWithMass,
+    "arm identified, load followed": arm_methods.IdentifiedUnderLoad,
+    "PCC through the sensors": sections_methods.ThroughSensors,
+    "affine through the sensors": sections_methods.AffineThroughSensors,
+    "PCC, best lengths in hindsight": sections_methods.BestLengths,
+    "most probable PCC": sections_methods.Posterior,
+}
+"""Name -> what makes the method of what is known."""
