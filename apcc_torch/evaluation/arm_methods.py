@@ -87,9 +87,12 @@ class IdentifiedUnderLoad(TendonMethod):
     def predict(self, test: Frames, task: Task, seen: Frames | None = None) -> Tensor:
         """See `Method.predict`."""
         assert seen is not None, "what is followed must be seen"
+        return positions_at_rest(self.arm, test, self.loaded_values(seen))
+
+    def loaded_values(self, seen: Frames) -> Values:
+        """The arm's values under the load that was seen."""
         parameters = self.followed()
-        found = follow(self.arm, parameters, seen, self.known)
-        return positions_at_rest(self.arm, test, parameters.values(found.z))
+        return parameters.values(follow(parameters, seen, self.known).z)
 
     def followed(self) -> Parameters:
         """What is fitted to what is seen."""
@@ -120,12 +123,10 @@ def positions_at_rest(arm: TendonArm, frames: Frames, values: Values) -> Tensor:
 def identified(known: Known, train: Frames) -> Values:
     """The arm's values after a fit to moments of `train`; one fit serves all methods that start from it."""
     some = known.some(train)
-    key = (len(train), float(train.times[0]), float(train.times[-1]), float(train.positions.sum()))
-    if key not in known.fits:
-        arm = TendonArm(known.arm)
-        found = fit(arm, known.parameters, some.drive, some.positions, known.fit, progress=known.say)
-        known.fits[key] = known.parameters.values(found.z)
-    return known.fits[key]
+    found = known.shared("identified", train, lambda: fit(
+        TendonArm(known.arm), known.parameters, some.drive, some.positions, known.fit, progress=known.say
+    ))  # fmt: skip
+    return known.parameters.values(found.z)
 
 
 def under_load(parameters: Parameters, values: Values, blocks: Sequence[str]) -> Parameters:
@@ -141,7 +142,11 @@ def under_load(parameters: Parameters, values: Values, blocks: Sequence[str]) ->
     return Parameters(held | {TIP_MASS: Block(0.0 * one, MASS_SPREAD * one, "kg", ("payload",))})
 
 
-def follow(arm: TendonArm, parameters: Parameters, seen: Frames, known: Known, most: int = FOLLOWED) -> Fit:
-    """A fit of what a load changes to moments at which all was seen."""
-    some = seen.at(thinned(torch.arange(len(seen)), most))
-    return fit(arm, parameters, some.drive, some.positions, known.fit)
+def follow(parameters: Parameters, seen: Frames, known: Known, most: int = FOLLOWED) -> Fit:
+    """A fit of what a load changes to moments at which all was seen; one serves all methods that ask for it."""
+    some, settings = seen.at(thinned(torch.arange(len(seen)), most)), known.fit.changed(rounds=2)
+    return known.shared(
+        " ".join(parameters.names),
+        some,
+        lambda: fit(TendonArm(known.arm), parameters, some.drive, some.positions, settings),
+    )

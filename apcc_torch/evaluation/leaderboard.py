@@ -55,7 +55,7 @@ class Session:
 
 
 def evaluate(
-    known: Callable[[], Known],
+    known: Sequence[Known],
     sessions: Sequence[Session],
     learned: str,
     tasks: Sequence[Task],
@@ -66,7 +66,7 @@ def evaluate(
     """Lets every method learn and predict, in every fold.
 
     Args:
-        known: What methods may know; called once a fold, so that nothing is carried over.
+        known: What methods may know, one a fold, so that nothing is carried over.
         sessions: The recordings.
         learned: The one whose training part methods learn from.
         tasks: What is asked.
@@ -76,16 +76,15 @@ def evaluate(
     """
     train = next(session for session in sessions if session.name == learned)
     folds = range(len(train.folds))
-    told = [known() for _ in folds]
     scores: list[Score] = []
     failures: list[Failure] = []
     for name in watch(list(methods)):
         found: dict[tuple[Task, str, int], list[float]] = {}
         begun = time.perf_counter()
-        method = methods[name](told[0])
+        method = methods[name](known[0])
         try:
             for fold in folds:
-                method = methods[name](told[fold])
+                method = methods[name](known[fold])
                 method.fit(train.frames.at(train.folds[fold].training))
                 for task in filter(method.answers, tasks):
                     for session in sessions:

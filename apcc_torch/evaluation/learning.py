@@ -61,12 +61,20 @@ class Regression(Method):
         train = self._train if seen is None else seen
         assert train is not None, "fit comes before predict"
         some = train if self.most is None else train.at(thinned(torch.arange(len(train)), self.most))
-        x, y = self.features(some, task), some.positions.flatten(1).numpy()
+        return self.regressed(some, some.positions, test, task)
+
+    def regressed(self, train: Frames, wanted: Tensor, test: Frames, task: Task) -> Tensor:
+        """What is `wanted` (N, k, 3) of the moments `train`, at those of `test` (M, k, 3).
+
+        Raises:
+            ConfigError: scikit-learn is not installed.
+        """
         try:
             from sklearn.pipeline import make_pipeline
             from sklearn.preprocessing import StandardScaler
         except ImportError as error:
             raise ConfigError('it needs scikit-learn: pip install "apcc-torch[evaluate]"') from error
+        x, y = self.features(train, task), wanted.flatten(1).numpy()
         model = make_pipeline(StandardScaler(), self.estimator(x, y)).fit(x, y)
         return torch.from_numpy(model.predict(self.features(test, task))).view_as(test.positions)
 
@@ -147,15 +155,16 @@ class Forest(Regression):
 class Network(Regression):
     """A multi-layer perceptron of two hidden layers."""
 
-    lagged = True
+    most, lagged = MOST, True
 
     def estimator(self, x: Array, y: Array) -> Estimator:
         """See `Regression.estimator`."""
         from sklearn.neural_network import MLPRegressor
 
         net = MLPRegressor(
-            hidden_layer_sizes=(64, 64), alpha=1e-3, learning_rate_init=2e-3, max_iter=200, random_state=self.known.seed
-        )
+            hidden_layer_sizes=(64, 64), alpha=1e-3, learning_rate_init=2e-3, tol=1e-3, max_iter=1000,
+            random_state=self.known.seed,
+        )  # fmt: skip
         return centred(net)
 
 

@@ -6,7 +6,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import torch
 from torch import Tensor
@@ -14,15 +14,15 @@ from torch import Tensor
 from apcc_torch.estimation.rest_calibration import RestCalibration
 from apcc_torch.evaluation.frames import Frames
 from apcc_torch.evaluation.tasks import Task
-from apcc_torch.identification.fit import FitSettings
+from apcc_torch.identification.fit import Fit, FitSettings
 from apcc_torch.identification.parameters import Parameters
 from apcc_torch.identification.split import thinned
 from apcc_torch.lie import so3
 from apcc_torch.lie.rotations import chordal_mean
 from apcc_torch.model.arm import Arm
 
-PHYSICS, LEARNING = "physics", "learning"
-"""Families of methods; one of both is "physics and learning"."""
+PHYSICS, LEARNING, BOTH = "physics", "learning", "physics and learning"
+"""Families of methods."""
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ class Known:
     geometric: The same, of which those are free that say where an arm is whose bends its tendons' lengths tell.
     rest: Moments at which the arm hung straight; None: it is straight as the arm's file says.
     fit: How parameters are fitted. samples: So many moments, evenly spread, a fit of the arm sees.
-    seed: Of random numbers. say: Takes a line a step of what takes long. fits: What methods share, by what it is of.
+    seed: Of random numbers. say: Takes a line a step of what takes long. fits: What methods share.
     """
 
     arm: Arm
@@ -44,7 +44,7 @@ class Known:
     samples: int
     seed: int
     say: Callable[[str], None]
-    fits: dict[Any, Any] = field(default_factory=dict)
+    fits: dict[tuple[object, ...], Fit] = field(default_factory=dict)
 
     @cached_property
     def calibration(self) -> RestCalibration:
@@ -60,6 +60,13 @@ class Known:
         if bool(seen.any()):
             axes = torch.stack([chordal_mean(self.rest.rotations[seen, b]) for b in range(len(names))])
         return RestCalibration.at_rest(names, base, turn, self.rest.positions.quantile(0.5, dim=0), axes)
+
+    def shared(self, name: str, frames: Frames, made: Callable[[], Fit]) -> Fit:
+        """The fit of that name to those moments, made once."""
+        key = (name, len(frames), float(frames.times[0]), float(frames.times[-1]), float(frames.positions.sum()))
+        if key not in self.fits:
+            self.fits[key] = made()
+        return self.fits[key]
 
     def some(self, frames: Frames) -> Frames:
         """Those of the moments that a fit of the arm sees."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from apcc_torch.evaluation import arm_methods, learning, sections_methods
+from apcc_torch.evaluation import arm_methods, learning, residual_methods, sections_methods
 from apcc_torch.evaluation.method import Known, Method
 
 METHODS: dict[str, Callable[[Known], Method]] = {
@@ -19,6 +19,7 @@ METHODS: dict[str, Callable[[Known], Method]] = {
     "arm identified": arm_methods.IdentifiedArm,
     "arm identified, payload followed": arm_methods.IdentifiedWithMass,
     "arm identified, load followed": arm_methods.IdentifiedUnderLoad,
+    "arm identified, rest learned": residual_methods.LearnedRest,
     "PCC through the sensors": sections_methods.ThroughSensors,
     "affine through the sensors": sections_methods.AffineThroughSensors,
     "PCC, best lengths in hindsight": sections_methods.BestLengths,

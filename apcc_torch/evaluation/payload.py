@@ -13,7 +13,7 @@ from apcc_torch.evaluation.frames import Frames
 from apcc_torch.evaluation.leaderboard import Session
 from apcc_torch.evaluation.method import Known
 from apcc_torch.identification.intervals import NORMAL_95
-from apcc_torch.identification.tendon_arm import TIP_MASS, TendonArm
+from apcc_torch.identification.tendon_arm import TIP_MASS
 
 WINDOW = 20.0
 """Length of what an estimate sees, s: the end of a session."""
@@ -59,10 +59,10 @@ def payloads(known: Known, sessions: Sequence[Session], learned: str, fold: int)
     """
     train = next(session for session in sessions if session.name == learned)
     values = identified(known, train.frames.at(train.folds[fold].training))
-    arm, parameters = TendonArm(known.arm), under_load(known.parameters, values, ())
+    parameters = under_load(known.parameters, values, ())
 
     def weighed(frames: Frames) -> Weighed:
-        found = follow(arm, parameters, frames, known, SEEN)
+        found = follow(parameters, frames, known, SEEN)
         mass = float(parameters.values(found.z)[TIP_MASS])
         at = parameters.names.index(f"{TIP_MASS}: payload")
         return Weighed(mass, float(parameters.blocks[TIP_MASS].spread) * math.sqrt(float(found.covariance[at, at])))

@@ -71,7 +71,7 @@ class Leaderboard(NamedTuple):
         return "\n\n".join(f"**{board.title}**\n\n{as_markdown(board.lines)}" for board in self.boards())
 
     def table(self) -> dict[str, object]:
-        """For table.json: {tasks: {task: {method: {family, seconds, sessions: {session: {body: {rms_mm, folds_mm}}}}}}}."""
+        """For table.json, as `python -m apcc_torch.evaluate --help` says it."""
         tasks: dict[str, dict[str, dict[str, object]]] = {}
         for score in self.scores:
             entry = tasks.setdefault(score.task, {}).setdefault(
@@ -87,6 +87,10 @@ class Leaderboard(NamedTuple):
             "payload": [estimate._asdict() for estimate in self.payloads],
             "failures": {failure.method: failure.why for failure in self.failures},
         }
+
+    def metrics(self) -> dict[str, float]:
+        """Flat: "TASK, METHOD, SESSION, body B, mm"."""
+        return {f"{s.task}, {s.method}, {s.session}, body {s.body}, mm": s.mean for s in self.scores}
 
     def figures(self) -> dict[str, style.Draw]:
         """File name -> what draws it, one a task."""
