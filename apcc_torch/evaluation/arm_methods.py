@@ -121,12 +121,16 @@ def positions_at_rest(arm: TendonArm, frames: Frames, values: Values) -> Tensor:
 
 
 def identified(known: Known, train: Frames) -> Values:
-    """The arm's values after a fit to moments of `train`; one fit serves all methods that start from it."""
+    """The arm's values after `identification`."""
+    return known.parameters.values(identification(known, train).z)
+
+
+def identification(known: Known, train: Frames) -> Fit:
+    """A fit of the arm to moments of `train`; one serves all methods that start from it."""
     some = known.some(train)
-    found = known.shared("identified", train, lambda: fit(
+    return known.shared("identified", train, lambda: fit(
         TendonArm(known.arm), known.parameters, some.drive, some.positions, known.fit, progress=known.say
     ))  # fmt: skip
-    return known.parameters.values(found.z)
 
 
 def under_load(parameters: Parameters, values: Values, blocks: Sequence[str]) -> Parameters:

@@ -8,17 +8,19 @@ from typing import NamedTuple
 
 import torch
 
-from apcc_torch.evaluation.arm_methods import follow, identified, under_load
+from apcc_torch.evaluation.arm_methods import MASS_SPREAD, follow, identification, under_load
 from apcc_torch.evaluation.frames import Frames
 from apcc_torch.evaluation.leaderboard import Session
 from apcc_torch.evaluation.method import Known
+from apcc_torch.identification.fit import Fit, information
 from apcc_torch.identification.intervals import NORMAL_95
-from apcc_torch.identification.tendon_arm import TIP_MASS
+from apcc_torch.identification.split import thinned
+from apcc_torch.identification.tendon_arm import TIP_MASS, TendonArm
 
 WINDOW = 20.0
 """Length of what an estimate sees, s: the end of a session."""
 WINDOWS = 4
-"""Windows of that length, evenly spread over the session before it, whose scatter its interval holds too."""
+"""Windows of that length, evenly spread over the session, whose scatter its interval holds too."""
 SEEN = 100
 """Moments of a window that are fitted."""
 
@@ -38,13 +40,6 @@ class Estimate(NamedTuple):
     scale_from: str
 
 
-class Weighed(NamedTuple):
-    """A payload by the arm's own scale of mass: kg, and its deviation by the fit's own account."""
-
-    mass: float
-    deviation: float
-
-
 def payloads(known: Known, sessions: Sequence[Session], learned: str, fold: int) -> list[Estimate]:
     """Estimates at the end of every session, by an arm identified on the training part of `learned`.
 
@@ -58,30 +53,53 @@ def payloads(known: Known, sessions: Sequence[Session], learned: str, fold: int)
         fold: Whose training part.
     """
     train = next(session for session in sessions if session.name == learned)
-    values = identified(known, train.frames.at(train.folds[fold].training))
-    parameters = under_load(known.parameters, values, ())
-
-    def weighed(frames: Frames) -> Weighed:
-        found = follow(parameters, frames, known, SEEN)
-        mass = float(parameters.values(found.z)[TIP_MASS])
-        at = parameters.names.index(f"{TIP_MASS}: payload")
-        return Weighed(mass, float(parameters.blocks[TIP_MASS].spread) * math.sqrt(float(found.covariance[at, at])))
-
-    loaded = {s.name: weighed(s.frames.at(s.folds[fold].training)).mass for s in sessions if s.payload}
+    found = identification(known, train.frames.at(train.folds[fold].training))
+    scales = _Scales(known, found)
+    loaded = {s.name: scales.mass(s.frames.at(s.folds[fold].training)) for s in sessions if s.payload}
     estimates = []
     for session in sessions:
         others = [s for s in sessions if s.payload and s.name != session.name]
         moments = sum(loaded[s.name] ** 2 for s in others)
         scale = sum(float(s.payload or 0.0) * loaded[s.name] for s in others) / moments if moments else 1.0
-        end = weighed(session.frames.at(_window(session.frames, 1.0)))
-        before = [weighed(session.frames.at(_window(session.frames, k / WINDOWS))).mass for k in range(1, WINDOWS)]
-        scatter = float(torch.tensor([*before, end.mass], dtype=torch.float64).std())
-        reach = NORMAL_95 * math.hypot(end.deviation, scatter)
-        low, middle, high = (1e3 * scale * (end.mass + side * reach) for side in (-1.0, 0.0, 1.0))
+        windows = [session.frames.at(_window(session.frames, k / WINDOWS)) for k in range(1, WINDOWS + 1)]
+        masses = [scales.mass(window) for window in windows]
+        scatter = float(torch.tensor(masses, dtype=torch.float64).std())
+        reach = NORMAL_95 * math.hypot(scales.deviation(windows[-1], fixed=bool(moments)), scatter)
+        low, middle, high = (1e3 * scale * (masses[-1] + side * reach) for side in (-1.0, 0.0, 1.0))
         true = None if session.payload is None else 1e3 * session.payload
         told = ", ".join(s.name for s in others) if moments else "the arm's file"
         estimates.append(Estimate(session.name, middle, low, high, true, told))
     return estimates
+
+
+class _Scales:
+    """Weighs with an identified arm: all its parameters held, the payload fitted."""
+
+    def __init__(self, known: Known, found: Fit) -> None:
+        self.known, self.found = known, found
+        self.values = known.parameters.values(found.z)
+        self.parameters = under_load(known.parameters, self.values, ())
+
+    def mass(self, frames: Frames) -> float:
+        """By the arm's own scale of mass, kg."""
+        return float(self.parameters.values(self._fit(frames).z)[TIP_MASS])
+
+    def _fit(self, frames: Frames) -> Fit:
+        return follow(self.parameters, frames, self.known, SEEN)
+
+    def deviation(self, frames: Frames, fixed: bool) -> float:
+        """Of the mass, kg: of what the moments leave open and, unless another load fixed the scale, of the arm."""
+        weighed = self._fit(frames)
+        if fixed:
+            return MASS_SPREAD * float(weighed.covariance[0, 0]) ** 0.5
+        every = under_load(self.known.parameters, self.values, tuple(self.known.parameters.blocks))
+        z = torch.cat((torch.zeros_like(self.found.z), weighed.z))
+        some = frames.at(thinned(torch.arange(len(frames)), SEEN))
+        size = weighed.noise * math.sqrt(weighed.correlation)
+        said = information(TendonArm(self.known.arm), every, some.drive, some.positions, z, size)
+        own = said[-1, -1] + 1.0
+        pull = said[-1, :-1] / own  # how the mass follows the parameters that are held
+        return MASS_SPREAD * float(1.0 / own + pull @ self.found.covariance @ pull) ** 0.5
 
 
 def _window(frames: Frames, share: float) -> torch.Tensor:

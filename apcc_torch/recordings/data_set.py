@@ -120,9 +120,9 @@ def located(data: DataSettings, data_root: str | None = None) -> Path:
     if data.folder is not None:
         return checked(Path(data.folder), data)
     place = data.place or data.name
-    for root in (data_root, os.environ.get(ROOT)):
-        if root and (Path(root) / place).is_dir():
-            return checked(Path(root) / place, data)
+    root = data_root or os.environ.get(ROOT)
+    if root and (Path(root) / place).is_dir():
+        return checked(Path(root) / place, data)
     if data_root:
         raise DataError(f"data_root must hold the folder {place}, and {data_root} does not")
     cached = _cache() / f"{place}-{data.commit or 'latest'}"
