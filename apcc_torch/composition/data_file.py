@@ -10,7 +10,7 @@ from apcc_torch.composition.arm_file import SUFFIXES, spelled
 from apcc_torch.composition.identify import known_arm
 from apcc_torch.errors import ConfigError, DataError
 from apcc_torch.files import yaml_in
-from apcc_torch.recordings.data_set import holding, named_set, set_names
+from apcc_torch.recordings.data_set import holding, named_set, refuse, set_names
 
 FILE = "data.yaml"
 """Name of a data set's file in a folder that is given for it."""
@@ -40,13 +40,14 @@ def data_override(arguments: Sequence[str]) -> list[str]:
 
 def _words(given: str) -> tuple[list[str], str]:
     """What stands for `data=given`, and the arm that it names."""
+    if given in set_names():
+        return [f"data={given}"], named_set(given).arm
     path = Path(given)
     file = path / FILE if path.is_dir() else path
     if file.suffix in SUFFIXES and (file.is_file() or not path.is_dir()):
         return _of_file(file)
     if not path.exists():
-        named = named_set(given)
-        return [f"data={given}"], named.arm
+        refuse(given)
     folder = path if path.is_dir() else path.parent
     known = holding(folder, {name: named_set(name) for name in set_names()})
     if known is not None and path.is_dir():

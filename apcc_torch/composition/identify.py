@@ -7,7 +7,7 @@ from pathlib import Path
 
 from apcc_torch.composition.run_settings import FolderSettings
 from apcc_torch.composition.unread import Unread
-from apcc_torch.errors import ConfigError, DataError
+from apcc_torch.errors import ConfigError
 from apcc_torch.identification.arm_blocks import KEYS, Spreads, arm_parameters
 from apcc_torch.identification.fit import FitSettings
 from apcc_torch.identification.online import OnlineSettings
@@ -15,9 +15,9 @@ from apcc_torch.identification.parameters import Parameters
 from apcc_torch.identification.series import RecordingSettings, Series, read_series
 from apcc_torch.identification.split import SplitSettings
 from apcc_torch.model.arm import Arm
-from apcc_torch.recordings.data_set import named_set, recording_path, set_names
+from apcc_torch.recordings.data_set import named_set, recording_path, refuse, set_names
 from apcc_torch.recordings.recording import detect_layout
-from apcc_torch.settings import MANY, OURS, check_choice, close, did_you_mean, names, setting
+from apcc_torch.settings import MANY, OURS, check_choice, names, setting
 
 GEOMETRY = (
     "rest_length",
@@ -149,12 +149,10 @@ def known_arm(data: str) -> str | None:
         DataError: There is no such file.
     """
     path = Path(data)
-    if not path.exists() and data in set_names():
+    if data in set_names():
         return named_set(data).arm
-    if not path.exists() and "/" not in data and close(data, set_names()) is not None:
-        raise ConfigError(f"data has no choice {data!r}{did_you_mean(data, set_names())}")
     if not path.exists():
-        raise DataError(f"{path}: there is no such file or folder")
+        refuse(data)
     file = path / "recording.csv" if path.is_dir() else path
     if file.is_file():
         with file.open(encoding="utf-8-sig", errors="replace") as lines:

@@ -65,6 +65,23 @@ class IdentifiedGeometry(TendonMethod):
         self.values = parameters.values(found.z)
 
 
+class FollowedGeometry(TendonMethod):
+    """Constant curvature, its geometry fitted to what is seen of the session under load."""
+
+    kinematic = True
+
+    def answers(self, task: Task) -> bool:
+        """See `Method.answers`."""
+        return task.motors and not task.shown and task.online
+
+    def predict(self, test: Frames, task: Task, seen: Frames | None = None) -> Tensor:
+        """See `Method.predict`."""
+        assert seen is not None, "what is followed must be seen"
+        some, parameters = seen.at(thinned(torch.arange(len(seen)), FOLLOWED)), self.known.geometric
+        found = fit(self.arm, parameters, some.drive, some.positions, self.known.fit)
+        return positions_at_rest(self.arm, test, parameters.values(found.z))
+
+
 class IdentifiedArm(TendonMethod):
     """The arm with tendons, stiffness and weight fitted: `python -m apcc_torch.identify`."""
 

@@ -20,7 +20,8 @@ from apcc_torch.identification.split import Split
 class Score(NamedTuple):
     """Of one method on one task: root of the mean squared distance of a body, mm.
 
-    session, body: Of the recording, the body from 1. folds: One value a fold. seconds: That the method took in all.
+    session, body: Of the recording, the body from 1. folds: One value a fold. seconds: Of a processor that the method
+    took in all.
     """
 
     task: str
@@ -80,7 +81,7 @@ def evaluate(
     failures: list[Failure] = []
     for name in watch(list(methods)):
         found: dict[tuple[Task, str, int], list[float]] = {}
-        begun = time.perf_counter()
+        begun = time.process_time()
         method = methods[name](known[0])
         try:
             for fold in folds:
@@ -93,7 +94,7 @@ def evaluate(
         except ApccError as error:
             failures.append(Failure(name, str(error)))
             continue
-        taken = time.perf_counter() - begun
+        taken = time.process_time() - begun
         scores += [
             Score(task.name, name, method.family, session_name, body, tuple(errors), taken)
             for (task, session_name, body), errors in found.items()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import torch
@@ -20,7 +20,7 @@ from apcc_torch.identification.tendon_arm import TIP_MASS, TendonArm
 WINDOW = 20.0
 """Length of what an estimate sees, s: the end of a session."""
 WINDOWS = 4
-"""Windows of that length, evenly spread over the session, whose scatter its interval holds too."""
+"""Windows of that length, evenly spread over what is scored, whose scatter and errors its interval holds too."""
 SEEN = 100
 """Moments of a window that are fitted."""
 
@@ -53,23 +53,34 @@ def payloads(known: Known, sessions: Sequence[Session], learned: str, fold: int)
         fold: Whose training part.
     """
     train = next(session for session in sessions if session.name == learned)
-    found = identification(known, train.frames.at(train.folds[fold].training))
-    scales = _Scales(known, found)
+    scales = _Scales(known, identification(known, train.frames.at(train.folds[fold].training)))
+    windows = {s.name: _windows(s.frames.at(s.folds[fold].validation)) for s in sessions}
+    masses = {name: [scales.mass(window) for window in each] for name, each in windows.items()}
     loaded = {s.name: scales.mass(s.frames.at(s.folds[fold].training)) for s in sessions if s.payload}
-    estimates = []
-    for session in sessions:
-        others = [s for s in sessions if s.payload and s.name != session.name]
-        moments = sum(loaded[s.name] ** 2 for s in others)
-        scale = sum(float(s.payload or 0.0) * loaded[s.name] for s in others) / moments if moments else 1.0
-        windows = [session.frames.at(_window(session.frames, k / WINDOWS)) for k in range(1, WINDOWS + 1)]
-        masses = [scales.mass(window) for window in windows]
-        scatter = float(torch.tensor(masses, dtype=torch.float64).std())
-        reach = NORMAL_95 * math.hypot(scales.deviation(windows[-1], fixed=bool(moments)), scatter)
-        low, middle, high = (1e3 * scale * (masses[-1] + side * reach) for side in (-1.0, 0.0, 1.0))
-        true = None if session.payload is None else 1e3 * session.payload
-        told = ", ".join(s.name for s in others) if moments else "the arm's file"
-        estimates.append(Estimate(session.name, middle, low, high, true, told))
-    return estimates
+    return [_estimate(scales, session, sessions, windows[session.name][-1], masses, loaded) for session in sessions]
+
+
+def _estimate(
+    scales: _Scales,
+    session: Session,
+    sessions: Sequence[Session],
+    end: Frames,
+    masses: Mapping[str, Sequence[float]],
+    loaded: Mapping[str, float],
+) -> Estimate:
+    """Of the end of a session, from the masses of the windows of all, kg by the arm's own scale."""
+    others = [s for s in sessions if s.payload is not None and s.name != session.name]
+    moments = sum(loaded[s.name] ** 2 for s in others if s.payload)
+    scale = sum(float(s.payload or 0.0) * loaded[s.name] for s in others if s.payload) / moments if moments else 1.0
+    own = torch.tensor(masses[session.name], dtype=torch.float64)
+    # Of the others the payload is known, and so how far such an estimate is off.
+    off = [scale * mass - float(s.payload or 0.0) for s in others for mass in masses[s.name]]
+    told = math.hypot(scale * scales.deviation(end, fixed=bool(moments)), scale * float(own.std()))
+    reach = NORMAL_95 * math.hypot(told, math.sqrt(sum(e * e for e in off) / max(len(off), 1)))
+    low, middle, high = (1e3 * (scale * float(own[-1]) + side * reach) for side in (-1.0, 0.0, 1.0))
+    true = None if session.payload is None else 1e3 * session.payload
+    by = ", ".join(s.name for s in others if s.payload) or "the arm's file"
+    return Estimate(session.name, middle, low, high, true, by)
 
 
 class _Scales:
@@ -102,7 +113,8 @@ class _Scales:
         return MASS_SPREAD * float(1.0 / own + pull @ self.found.covariance @ pull) ** 0.5
 
 
-def _window(frames: Frames, share: float) -> torch.Tensor:
-    """Indices of the moments in the last seconds before a share of the recording."""
-    end = float(frames.times[0]) + share * float(frames.times[-1] - frames.times[0])
-    return ((frames.times > end - WINDOW) & (frames.times <= end)).nonzero()[:, 0]
+def _windows(frames: Frames) -> list[Frames]:
+    """The last seconds before each of evenly spread moments, the last one the end."""
+    begin, length = float(frames.times[0]), float(frames.times[-1] - frames.times[0])
+    ends = [begin + length * k / WINDOWS for k in range(1, WINDOWS + 1)]
+    return [frames.at(((frames.times > end - WINDOW) & (frames.times <= end)).nonzero()[:, 0]) for end in ends]

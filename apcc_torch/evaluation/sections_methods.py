@@ -7,6 +7,7 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
+from apcc_torch.errors import ConfigError
 from apcc_torch.evaluation.frames import Frames
 from apcc_torch.evaluation.method import Method
 from apcc_torch.evaluation.shape_posterior import Gaussian, Sections
@@ -92,6 +93,33 @@ class AffineThroughSensors(ThroughSensors):
     """The same with curvature that varies affinely along each section."""
 
     model = AffineBackbone
+
+
+class Spline(ThroughSensors):
+    """A cubic spline over the abscissa, from the base and along its axis through the bodies that are seen."""
+
+    def predict(self, test: Frames, task: Task, seen: Frames | None = None) -> Tensor:
+        """See `Method.predict`."""
+        try:
+            from scipy.interpolate import CubicSpline
+        except ImportError as error:
+            raise ConfigError('it needs scipy: pip install "apcc-torch[evaluate]"') from error
+        base, shown = self.known.calibration, list(task.shown)
+        # Each marker's place beside the axis, which does not turn here, is taken off and put back.
+        beside = base.points(self.at_rest())
+        beside = beside - torch.nn.functional.pad(base.abscissae.unsqueeze(-1), (2, 0))
+        points = torch.nn.functional.pad((base.points(test.positions) - beside)[:, shown], (0, 0, 1, 0))
+        at = torch.nn.functional.pad(base.abscissae[shown], (1, 0))
+        start, end = points.new_tensor([0.0, 0.0, 1.0]).expand(len(points), 3), points.new_zeros(len(points), 3)
+        curve = CubicSpline(at.numpy(), points.numpy(), axis=1, bc_type=((1, start.numpy()), (2, end.numpy())))
+        found = torch.from_numpy(curve(base.abscissae.numpy())) + beside
+        return found @ base.base_rotation.mT + base.base_position
+
+    def at_rest(self) -> Tensor:
+        """Where the bodies of the straight arm are (k, 3), m, recording frame."""
+        model = PCCBackbone(1)
+        arm = Sections(model, self.known.calibration.abscissae[-1:], self.known.calibration)
+        return arm.positions(torch.zeros(1, model.n, dtype=torch.float64))[0]
 
 
 class BestLengths(ThroughSensors):

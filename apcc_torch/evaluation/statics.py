@@ -59,7 +59,7 @@ def statics_scores(arm: Arm, shapes: RodShapes, session: str) -> list[Score]:
         raise ConfigError(f"arm.lengths must be those of two halves, got {arm.n_sections} sections")
     scores = []
     for name, (make, refine) in PLANTS.items():
-        begun = time.perf_counter()
+        begun = time.process_time()
         ends = half_ends(make(arm, refine), arm, shapes, refine)
         truth = shapes.places[:, :, -1]
         if not bool(ends.isfinite().all()):
@@ -72,7 +72,7 @@ def statics_scores(arm: Arm, shapes: RodShapes, session: str) -> list[Score]:
                 session,
                 body + 1,
                 (rms_mm(ends[:, body], truth[:, body]),),
-                time.perf_counter() - begun,
+                time.process_time() - begun,
             )
             for body in range(2)
         ]

@@ -9,12 +9,13 @@ import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NoReturn
 
 from apcc_torch.conf_path import conf_path
 from apcc_torch.errors import ConfigError, DataError, in_a_line
 from apcc_torch.files import yaml_in
 from apcc_torch.reading import read
-from apcc_torch.settings import OURS, Settings, did_you_mean, setting
+from apcc_torch.settings import OURS, Settings, close, did_you_mean, setting
 
 ROOT = "APCC_DATA"
 """The environment's name for a folder of data sets."""
@@ -93,18 +94,28 @@ def named_set(name: str) -> DataSettings:
     return read(yaml_in(file.read_text(encoding="utf-8"), file.name)["data"], DataSettings, "data")
 
 
+def refuse(data: str) -> NoReturn:
+    """Raises for what is neither a data set nor there.
+
+    Raises:
+        ConfigError: It is close to a set's name.
+        DataError: It is not.
+    """
+    if close(data, set_names()) is not None:
+        raise ConfigError(f"data has no choice {data!r}{did_you_mean(data, set_names())}")
+    raise DataError(f"{data}: there is no such file or folder")
+
+
 def recording_path(data: str, data_root: str | None = None) -> str:
-    """`data` of a command: a path as it is, or the path of the first recording of the set that it names.
+    """`data` of a command: the path of the first recording of the set that it names, else a path as it is.
 
     Raises:
         DataError: The set is neither there nor can be fetched.
     """
-    if Path(data).exists():
+    if data not in set_names():
         return data
-    if data in set_names():
-        named = named_set(data)
-        return str(located(named, data_root) / named.sessions[named.learned].file)
-    return data
+    named = named_set(data)
+    return str(located(named, data_root) / named.sessions[named.learned].file)
 
 
 def located(data: DataSettings, data_root: str | None = None) -> Path:
