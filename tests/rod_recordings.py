@@ -35,12 +35,12 @@ DATA = {
     },
     "split": {"folds": 2, "fold": 1},
     "every": 2,
-    "fit": {"samples": 30, "steps": 6, "rounds": 1},
+    "fit": {"samples": 24, "steps": 4, "rounds": 1},
 }
 """The data set's file: all that a stranger writes."""
 
 
-def write_recordings(folder: Path, count: int = 160) -> Path:
+def write_recordings(folder: Path, count: int = 100) -> Path:
     """Two sessions with the same inputs, without and with a payload; returns the data set's file."""
     arm = read(ARM, Arm)
     rod = RodPlant.dynamics_of(arm, RodPlantSettings(refine=2, radius=0.005))

@@ -21,8 +21,8 @@ Estimator = Any
 
 MOST = 1500
 """Moments that a regression whose cost grows with their square or cube sees; the others see all."""
-CHOICES = 500
-"""Moments that its hyperparameters are chosen on, by three stretches held back in turn."""
+CHOICES = 800
+"""Moments that its hyperparameters are chosen on, by five stretches held back in turn."""
 LAGS = 5
 """Moments of the past, evenly spread over what an arm's fit sees of it, that a lagged regression sees."""
 
@@ -43,6 +43,7 @@ class Regression(Method):
     def __init__(self, known: Known) -> None:
         super().__init__(known)
         self._train: Frames | None = None
+        self._learned: dict[Task, Estimator] = {}
 
     def estimator(self, x: Array, y: Array) -> Estimator:
         """What is fitted, with what has to be chosen chosen on features (N, p) and positions (N, 3 k)."""
@@ -54,17 +55,19 @@ class Regression(Method):
 
     def fit(self, train: Frames) -> None:
         """See `Method.fit`."""
-        self._train = train
+        self._train, self._learned = train, {}
 
     def predict(self, test: Frames, task: Task, seen: Frames | None = None) -> Tensor:
         """See `Method.predict`."""
         train = self._train if seen is None else seen
         assert train is not None, "fit comes before predict"
-        some = train if self.most is None else train.at(thinned(torch.arange(len(train)), self.most))
-        return self.regressed(some, some.positions, test, task)
+        if seen is not None or task not in self._learned:
+            some = train if self.most is None else train.at(thinned(torch.arange(len(train)), self.most))
+            self._learned[task] = self.learned(some, some.positions, task)
+        return self.said(self._learned[task], test, task)
 
-    def regressed(self, train: Frames, wanted: Tensor, test: Frames, task: Task) -> Tensor:
-        """What is `wanted` (N, k, 3) of the moments `train`, at those of `test` (M, k, 3).
+    def learned(self, train: Frames, wanted: Tensor, task: Task) -> Estimator:
+        """A regression of `wanted` (N, k, 3) at the moments of `train`.
 
         Raises:
             ConfigError: scikit-learn is not installed.
@@ -75,7 +78,10 @@ class Regression(Method):
         except ImportError as error:
             raise ConfigError('it needs scikit-learn: pip install "apcc-torch[evaluate]"') from error
         x, y = self.features(train, task), wanted.flatten(1).numpy()
-        model = make_pipeline(StandardScaler(), self.estimator(x, y)).fit(x, y)
+        return make_pipeline(StandardScaler(), self.estimator(x, y)).fit(x, y)
+
+    def said(self, model: Estimator, test: Frames, task: Task) -> Tensor:
+        """What a regression says at the moments of `test` (M, k, 3)."""
         return torch.from_numpy(model.predict(self.features(test, task))).view_as(test.positions)
 
     def features(self, frames: Frames, task: Task) -> Array:
@@ -90,7 +96,7 @@ class Regression(Method):
             columns += [history[:, step] for step in steps]
             if self.slack:
                 columns = [column.clamp(**end) for column in columns for end in ({"min": 0.0}, {"max": 0.0})]
-            if self.lagged and bool(frames.drive.slide.any()):
+            if self.lagged:
                 columns.append(frames.drive.slide)
         return torch.cat(columns, -1).numpy()
 
@@ -127,9 +133,9 @@ class KernelMethod(Regression):
         from sklearn.preprocessing import StandardScaler
 
         scale = 1.0 / x.shape[1]
-        grid = {"alpha": [1e-4, 1e-3, 1e-2, 1e-1], "gamma": [0.03 * scale, 0.1 * scale, 0.3 * scale, scale]}
+        grid = {"alpha": [1e-4, 1e-3, 1e-2, 1e-1], "gamma": [scale * share for share in (0.01, 0.03, 0.1, 0.3, 1.0)]}
         few = np.linspace(0, len(x) - 1, min(len(x), CHOICES)).astype(int)
-        search = GridSearchCV(KernelRidge(kernel="rbf"), grid, cv=KFold(3), scoring="neg_mean_squared_error")
+        search = GridSearchCV(KernelRidge(kernel="rbf"), grid, cv=KFold(5), scoring="neg_mean_squared_error")
         scaled, target = (StandardScaler().fit_transform(values[few]) for values in (x, y))
         return centred(KernelRidge(kernel="rbf", **search.fit(scaled, target).best_params_))
 

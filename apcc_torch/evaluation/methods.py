@@ -26,5 +26,6 @@ METHODS: dict[str, Callable[[Known], Method]] = {
     "spline through the sensors": sections_methods.Spline,
     "PCC, best lengths in hindsight": sections_methods.BestLengths,
     "most probable PCC": sections_methods.Posterior,
+    "most probable affine": sections_methods.AffinePosterior,
 }
 """Name -> what makes the method of what is known."""

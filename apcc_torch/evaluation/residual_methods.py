@@ -41,5 +41,5 @@ class LearnedRest(IdentifiedUnderLoad):
         there, here = (positions_at_rest(self.arm, frames, values) for frames in (some, test))
         told = Task(tuple(range(there.shape[1])), True)
         modelled = replace(some, positions=there), replace(test, positions=here)
-        rest = KernelMethod(self.known).regressed(modelled[0], some.positions - there, modelled[1], told)
-        return here + rest
+        regression = KernelMethod(self.known)
+        return here + regression.said(regression.learned(modelled[0], some.positions - there, told), modelled[1], told)

@@ -39,6 +39,8 @@ class Posterior(Method):
     are rows beside the sensors, weighed by how well they tell the shape.
     """
 
+    model: ClassVar[type[PCCBackbone] | type[AffineBackbone]] = PCCBackbone
+
     def answers(self, task: Task) -> bool:
         """See `Method.answers`."""
         return bool(task.shown) and not task.online
@@ -47,7 +49,7 @@ class Posterior(Method):
         """See `Method.fit`."""
         calibration = self.known.calibration
         lengths = calibration.rest_lengths
-        self.sections = Sections(PCCBackbone(len(lengths)), lengths, calibration)
+        self.sections = Sections(self.model(len(lengths)), lengths, calibration)
         some = train.at(thinned(torch.arange(len(train)), MOST))
         q = self.sections.most_probable(some.positions, some.rotations, [wide(self.sections.model)])
         self.prior = Gaussian.of(q, LEAST_ANGLE)
@@ -59,6 +61,12 @@ class Posterior(Method):
         if task.motors:
             beliefs.append(self.inputs._replace(value=test.inputs - self.inputs.value))
         return self.sections.positions(self.sections.most_probable(test.positions, test.rotations, beliefs))
+
+
+class AffinePosterior(Posterior):
+    """The same with curvature that varies affinely along each section."""
+
+    model = AffineBackbone
 
 
 class ThroughSensors(Method):

@@ -85,5 +85,5 @@ def of_motion(settings: EvaluateSettings, say: Say) -> Leaderboard:
 
     told = [known() for _ in sessions[0].folds]
     scores, failures = evaluate(told, sessions, learned, tasks, chosen, settings.every, watch)
-    weighed = payloads(told[0], sessions, learned, 0) if loads and not settings.methods else []
+    weighed = payloads(told[0], sessions, learned, 0) if loads and "arm identified" in chosen else []
     return Leaderboard(settings.data.name, scores, weighed, failures)

@@ -14,12 +14,14 @@ import torch
 
 from apcc_torch.composition.evaluate import recordings
 from apcc_torch.composition.identify import parameters
+from apcc_torch.errors import DataError
 from apcc_torch.evaluation.frames import Frames
 from apcc_torch.evaluation.leaderboard import evaluate
 from apcc_torch.evaluation.learning import Linear
 from apcc_torch.evaluation.method import Known, Method
 from apcc_torch.evaluation.methods import METHODS
 from apcc_torch.evaluation.tasks import Task, tasks_of
+from apcc_torch.identification.series import Series
 from commands import environment
 from composed import composed_evaluate
 from rod_recordings import write_recordings
@@ -36,41 +38,65 @@ def _evaluate(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]
 
 def test_a_strangers_arm_from_the_command_line(tmp_path: Path) -> None:
     pytest.importorskip("sklearn")
-    data = write_recordings(tmp_path)
-    text = data.read_text()
-    assert len(text.splitlines()) < 50 and len((tmp_path / "arm.yaml").read_text().splitlines()) < 20
-    done = _evaluate(tmp_path, "data=data.yaml", "hydra.run.dir=out")
+    write_recordings(tmp_path)
+    chosen = ["mean", "linear", "arm identified", "arm identified, payload followed", "most probable PCC"]
+    words = ",".join(f"'{name}'" for name in chosen)
+    done = _evaluate(tmp_path, "data=data.yaml", f"methods=[{words}]", "hydra.run.dir=out")
     assert done.returncode == 0, done.stdout + done.stderr
     out = tmp_path / "out"
     table = json.loads((out / "table.json").read_text())
-    assert not table["failures"] and {m for task in table["tasks"].values() for m in task} == set(METHODS) - {
-        "PCC, best lengths in hindsight"  # there are no two bodies that are shown
-    }
+    assert not table["failures"] and {m for task in table["tasks"].values() for m in task} == set(chosen)
 
     def tip(task: str, method: str, session: str = "empty", body: int = 2) -> float:
         found: float = table["tasks"][task][method]["sessions"][session][f"body_{body}"]["rms_mm"]
         return found
 
     # White noise of 0.1 mm a coordinate leaves 0.17 mm of distance.
-    assert tip(MOTORS, "arm identified") < 0.4 < tip(MOTORS, "linear") < tip(MOTORS, "mean")
+    assert tip(MOTORS, "arm identified") < 0.5 < tip(MOTORS, "linear") < tip(MOTORS, "mean")
     assert tip(MOTORS, "arm identified", "loaded") > 2.0 * tip(FOLLOWED, "arm identified, payload followed", "loaded")
-    assert tip(FOLLOWED, "arm identified, payload followed", "loaded") < 0.4
+    assert tip(FOLLOWED, "arm identified, payload followed", "loaded") < 0.5
     with_motors, alone = (tip(f"body 2{told}", "most probable PCC", body=1) for told in (" and motors", ""))
     assert with_motors < 0.2 * alone
     for weighed in table["payload"]:
         assert weighed["low_g"] < weighed["true_g"] < weighed["high_g"]
     assert len(list((out / "figures").glob("*.png"))) == len(table["tasks"])
     page = (out / "leaderboard.html").read_text()
-    assert page.count("<img") == len(table["tasks"]) and "arm identified, rest learned" in page
+    assert page.count("<img") == len(table["tasks"]) and "arm identified, payload followed" in page
     assert (out / "table.txt").read_text().strip() in done.stdout
     again = _evaluate(tmp_path, "data=data.yaml", "hydra.run.dir=out")
     assert again.returncode == 2 and "holds results" in again.stdout + again.stderr
 
 
+@pytest.mark.parametrize("name", METHODS)
+def test_every_method_answers_what_it_says(name: str, small: tuple[Known, Frames]) -> None:
+    """On a few moments and after a step of a fit: finite, of the right shape, and near the arm."""
+    pytest.importorskip("sklearn")
+    known, frames = small
+    train, test = frames.at(torch.arange(0, 40, 2)), frames.at(torch.arange(1, 40, 4))
+    method = METHODS[name](known)
+    method.fit(train)
+    asked = [task for task in tasks_of(2, False) if method.answers(task)]
+    assert asked or name == "PCC, best lengths in hindsight"  # no two bodies are shown
+    for task in asked:
+        seen = train if task.online else test if method.hindsight else None
+        found = method.predict(test.showing(task.shown, task.motors, task.orientations), task, seen)
+        assert found.shape == test.positions.shape
+        assert float((found - test.positions).norm(dim=-1).max()) < 0.15
+
+
+@pytest.fixture(scope="module")
+def small(tmp_path_factory: pytest.TempPathFactory) -> tuple[Known, Frames]:
+    """What is known of the small arm, and 40 moments of its recording."""
+    data = write_recordings(tmp_path_factory.mktemp("small"), count=40)
+    settings = composed_evaluate(f"data={data}", "fit.steps=1", "fit.samples=10")
+    sessions, rest = recordings(settings)
+    blocks = parameters(settings)
+    known = Known(settings.arm, blocks, blocks.holding(("rest_length",)), rest, settings.fit, 10, 0, lambda line: None)
+    return known, sessions[0].frames
+
+
 def _moments(k: int = 3) -> Frames:
     generator = torch.Generator().manual_seed(0)
-    from apcc_torch.identification.series import Series
-
     inputs, places = torch.randn(40, 2, generator=generator).double(), torch.randn(40, k, 3, generator=generator)
     turns = torch.eye(3).double().expand(40, k, 3, 3)
     series = Series(torch.arange(40).double(), inputs, places.double(), torch.zeros(40, dtype=torch.int64), "", turns)
@@ -143,17 +169,13 @@ def test_the_recorded_trunk_as_the_prototype(shared_data: Path) -> None:
     assert found["bodies 1, 3 and motors", 2, "0 g"] < 0.5 * found["bodies 1, 3", 2, "0 g"]
 
 
-def test_a_method_that_cannot_take_part_is_told(tmp_path: Path) -> None:
-    from apcc_torch.errors import DataError
-
+def test_a_method_that_cannot_take_part_is_told(tmp_path: Path, small: tuple[Known, Frames]) -> None:
     class Broken(Linear):
         def fit(self, train: Frames) -> None:
             raise DataError("there is nothing to learn from")
 
-    settings = composed_evaluate(f"data={write_recordings(tmp_path, count=40)}")
-    sessions, rest = recordings(settings)
-    blocks = parameters(settings)
-    known = Known(settings.arm, blocks, blocks, rest, settings.fit, 1, 0, lambda line: None)
+    settings = composed_evaluate(f"data={write_recordings(tmp_path, count=8)}")
+    sessions, _ = recordings(settings)
     methods: dict[str, type[Method]] = {"broken": Broken}
-    scores, failures = evaluate([known], sessions, "empty", [Task((), True)], methods, 1, list)
+    scores, failures = evaluate([small[0]], sessions, "empty", [Task((), True)], methods, 1, list)
     assert not scores and failures == [("broken", "there is nothing to learn from")]
