@@ -19,7 +19,7 @@ from page import between
 from apcc_torch.files import write_atomically
 from apcc_torch.paper.law_rows import law_rows
 from apcc_torch.paper.printed_numbers import TITLES
-from apcc_torch.paper.text_table import as_markdown
+from apcc_torch.report.text_table import as_markdown
 
 ROOT = Path(__file__).resolve().parent.parent
 BEGIN, END = "<!-- laws: python benchmarks/laws.py FOLDER -->", "<!-- /laws -->"

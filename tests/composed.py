@@ -9,6 +9,8 @@ from hydra.core.config_store import ConfigStore
 from omegaconf import DictConfig, OmegaConf
 
 from apcc_torch.composition.arm_file import arm_override
+from apcc_torch.composition.data_file import data_override
+from apcc_torch.composition.evaluate import EvaluateSettings
 from apcc_torch.composition.identify import IdentifySettings
 from apcc_torch.composition.realtime import RealtimeSettings
 from apcc_torch.composition.run_settings import SimulateSettings
@@ -18,6 +20,7 @@ from apcc_torch.conf_path import conf_path
 ConfigStore.instance().store(name="simulate_schema", node=schema(SimulateSettings))
 ConfigStore.instance().store(name="realtime_schema", node=schema(RealtimeSettings))
 ConfigStore.instance().store(name="identify_schema", node=schema(IdentifySettings))
+ConfigStore.instance().store(name="evaluate_schema", node=schema(EvaluateSettings))
 
 # Experiments that only the program for an arm, real or simulated, can run.
 ON_AN_ARM = {"calibration", "experiment_1", "experiment_2"}
@@ -49,6 +52,12 @@ def composed_identify(*overrides: str) -> IdentifySettings:
     """The settings of an identification."""
     with initialize_config_dir(conf_path(), version_base="1.3"):
         return typed(compose("identify", arm_override(overrides)), IdentifySettings)
+
+
+def composed_evaluate(*overrides: str) -> EvaluateSettings:
+    """The settings of an evaluation."""
+    with initialize_config_dir(conf_path(), version_base="1.3"):
+        return typed(compose("evaluate", arm_override(data_override(overrides))), EvaluateSettings)
 
 
 @cache

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from apcc_torch import benchmark, identify, robot, robot_log, simulate
+from apcc_torch import benchmark, evaluate, identify, robot, robot_log, simulate
 from apcc_torch.report import __main__ as report
 
 
@@ -35,6 +35,9 @@ from apcc_torch.report import __main__ as report
             "state is no setting here, but one of python -m",
         ),
         (identify.main, "arm=ftdcr data=x", "arm has no choice 'ftdcr'; did you mean ftdcr_v6?"),
+        (identify.main, "data=trnk", "data has no choice 'trnk'; did you mean trunk?"),
+        (evaluate.main, "data=trunk_paylod", "data has no choice 'trunk_paylod'; did you mean trunk_payload?"),
+        (evaluate.main, "data=trunk data.tran=x", "data.tran is no setting; did you mean train?"),
         (benchmark.main, "grid=smal", "grid has no choice 'smal'; did you mean small?"),
         (robot_log.main, "inf x", "there is no inf; did you mean info?"),
         (robot_log.main, "replay x --alow-class y", "there is no argument --alow-class; did you mean --allow-class?"),

@@ -28,7 +28,7 @@ from apcc_torch.composition.help import rows
 from apcc_torch.composition.identify import IdentifySettings
 from apcc_torch.composition.schema import typed
 from apcc_torch.conf_path import conf_path
-from composed import composed, composed_identify, composed_realtime
+from composed import composed, composed_evaluate, composed_identify, composed_realtime
 from doc_pages import PAGES, ROOT, Block, Command, commands, keys, name_of, python_blocks
 
 UNCHECKED_COMMANDS: dict[str, str] = {
@@ -97,6 +97,7 @@ PROGRAMS: dict[str, Callable[..., Any]] = {
     "robot": composed_realtime,
     "benchmark": composed_benchmark,
     "identify": composed_with_arm,
+    "evaluate": composed_evaluate,
 }
 """A program of hydra's -> what composes and reads its settings."""
 
@@ -192,6 +193,7 @@ def known_keys() -> set[str]:
     every = [settings("simulate", "experiment=dynamic_run_2", *dict.fromkeys(chosen)) for chosen in some]
     every += [settings("robot", "experiment=setpoint", "hardware=dynamixel_optitrack")]
     every += [settings("robot", "experiment=setpoint"), settings("identify", "data=PATH")]
+    every += [settings("evaluate", "data=trunk_payload")]
     told = [row for each in every for row in rows(each)]
     return {row.key for row in told} | {f"{row.key}.kind" for row in told if not row.source}
 

@@ -39,6 +39,7 @@ LAYERS: tuple[tuple[str, ...], ...] = (
     ("simulation",),
     ("recordings",),
     ("identification",),
+    ("evaluation",),
     ("",),  # apcc_torch/__init__.py, the public surface
     ("envs", "hardware"),
     ("composition",),
@@ -47,7 +48,7 @@ LAYERS: tuple[tuple[str, ...], ...] = (
     ("paper",),
     ("sweeps",),
     ("composed", "simulate"),
-    ("benchmark", "identify", "report.__main__", "robot", "robot_log"),
+    ("benchmark", "evaluate", "identify", "report.__main__", "robot", "robot_log"),
 )
 
 # What a unit does without, though it lies below: real devices know no simulation, and get the simulated arm's plant.
@@ -55,10 +56,12 @@ APART: dict[str, frozenset[str]] = {"hardware": frozenset({"simulation"})}
 
 # Who alone may import a heavy or program-only library.
 RESTRICTED: dict[str, frozenset[str]] = {
-    "hydra": frozenset({"benchmark", "composed", "identify", "robot", "simulate", "sweeps"}),
+    "hydra": frozenset({"benchmark", "composed", "evaluate", "identify", "robot", "simulate", "sweeps"}),
     "matplotlib": frozenset({"report", "report.__main__"}),
     "gymnasium": frozenset({"envs"}),
     "stable_baselines3": frozenset({"envs"}),
+    "sklearn": frozenset({"evaluation"}),
+    "pooch": frozenset({"recordings"}),
 }
 
 LEVEL = {unit: level for level, units in enumerate(LAYERS) for unit in units}

@@ -8,7 +8,8 @@ from typing import Any
 from apcc_torch.errors import ConfigError
 from apcc_torch.model.arm import Arm
 
-_SUFFIXES = (".yaml", ".yml")
+SUFFIXES = (".yaml", ".yml")
+"""Of files in which settings stand."""
 
 
 def arm_override(arguments: Sequence[str]) -> list[str]:
@@ -22,26 +23,26 @@ def arm_override(arguments: Sequence[str]) -> list[str]:
         DataError: A file cannot be read.
         ConfigError, ValueRangeError: A file holds no arm.
     """
-    spelled: list[str] = []
+    words: list[str] = []
     for argument in arguments:
         paths = argument.removeprefix("arm=").split(",")
-        files = [path for path in paths if path.endswith(_SUFFIXES)]
+        files = [path for path in paths if path.endswith(SUFFIXES)]
         if not argument.startswith("arm=") or not files:
-            spelled.append(argument)
+            words.append(argument)
             continue
         if files != paths:
             raise ConfigError(f"arm must name files or names, not both, got {argument}")
         arms = (Arm.load(path) for path in paths)
-        spelled += ["~arm", "arm=" + ",".join(_spelled(arm.entries()) for arm in arms)]
-    return spelled
+        words += ["~arm", "arm=" + ",".join(spelled(arm.entries()) for arm in arms)]
+    return words
 
 
-def _spelled(value: Any) -> str:
+def spelled(value: Any) -> str:
     """A plain value in the grammar of Hydra's overrides."""
     if isinstance(value, Mapping):
-        return "{" + ",".join(f"{name}:{_spelled(entry)}" for name, entry in value.items()) + "}"
+        return "{" + ",".join(f"{name}:{spelled(entry)}" for name, entry in value.items()) + "}"
     if isinstance(value, list):
-        return "[" + ",".join(map(_spelled, value)) + "]"
+        return "[" + ",".join(map(spelled, value)) + "]"
     if isinstance(value, str):
         # A backslash escapes a quote, and another one only in front of a quote.
         return "'" + value.replace("\\'", "\\\\'").replace("'", "\\'") + "'"

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from apcc_torch.composition.run_settings import FolderSettings
 from apcc_torch.composition.unread import Unread
-from apcc_torch.errors import ConfigError, DataError
+from apcc_torch.errors import ConfigError
 from apcc_torch.identification.arm_blocks import KEYS, Spreads, arm_parameters
 from apcc_torch.identification.fit import FitSettings
 from apcc_torch.identification.online import OnlineSettings
@@ -15,6 +15,7 @@ from apcc_torch.identification.parameters import Parameters
 from apcc_torch.identification.series import RecordingSettings, Series, read_series
 from apcc_torch.identification.split import SplitSettings
 from apcc_torch.model.arm import Arm
+from apcc_torch.recordings.data_set import named_set, recording_path, refuse, set_names
 from apcc_torch.recordings.recording import detect_layout
 from apcc_torch.settings import MANY, OURS, check_choice, names, setting
 
@@ -61,22 +62,31 @@ class ArmOnlineSettings(OnlineSettings):
 
 
 @dataclass(frozen=True, kw_only=True)
-class IdentifySettings(FolderSettings):
-    """Root of `python -m apcc_torch.identify`."""
+class LearningSettings(FolderSettings):
+    """What every program has that fits an arm to recordings."""
 
-    data: str | None = setting(None, "", OURS, "file or folder of the recording")
     arm: Arm = setting(meaning="what is believed of the arm: a name in conf/arm, or an arm's file")
     spread: Spreads = setting(factory=Spreads, meaning="how far the arm may be from that")
     recording: RecordingSettings = setting(factory=RecordingSettings, meaning="how the recording is read")
     split: SplitSettings = setting(factory=SplitSettings, meaning="what is held back")
     fit: ArmFitSettings = setting(factory=ArmFitSettings, meaning="how the arm is fitted")
-    online: ArmOnlineSettings = setting(factory=ArmOnlineSettings, meaning="how the geometry is adapted online")
+    data_root: str | None = setting(
+        None, "", OURS, "folder that holds the data sets of conf/data; null: APCC_DATA, else they are fetched"
+    )
     figures: bool = setting(True, "", OURS, "whether figures are drawn")
     progress: bool = setting(True, "", OURS, "whether rounds are told as they end")
     threads: int | None = setting(1, "", OURS, "torch threads; null leaves torch its choice", least=1, most=1024)
 
 
-def of_a_fit(settings: IdentifySettings) -> Unread:
+@dataclass(frozen=True, kw_only=True)
+class IdentifySettings(LearningSettings):
+    """Root of `python -m apcc_torch.identify`."""
+
+    data: str | None = setting(None, "", OURS, "file or folder of the recording, or a data set of conf/data")
+    online: ArmOnlineSettings = setting(factory=ArmOnlineSettings, meaning="how the geometry is adapted online")
+
+
+def of_a_fit(settings: LearningSettings) -> Unread:
     """What an identification does not read."""
     # A spread of zero says that nothing is fitted, and nothing is.
     if settings.fit.slide_travel == 0 and settings.spread.friction:
@@ -94,7 +104,15 @@ def recorded(settings: IdentifySettings) -> Series:
     """
     if settings.data is None:
         raise ConfigError("data must name the file or folder of a recording: data=PATH")
-    series, arm = read_series(settings.data, settings.recording), settings.arm
+    return of_the_arm(read_series(recording_path(settings.data, settings.data_root), settings.recording), settings.arm)
+
+
+def of_the_arm(series: Series, arm: Arm) -> Series:
+    """The recording, if it has what the arm has.
+
+    Raises:
+        ConfigError: The arm is not that of the recording.
+    """
     m, k = series.inputs.shape[-1], series.positions.shape[1]
     last, sensors = max(arm.actuation.driving(arm.n_tendons)), len(arm.sensor_places())
     if last >= m:
@@ -104,7 +122,7 @@ def recorded(settings: IdentifySettings) -> Series:
     return series
 
 
-def parameters(settings: IdentifySettings) -> Parameters:
+def parameters(settings: LearningSettings) -> Parameters:
     """What is fitted of the arm.
 
     Raises:
@@ -126,14 +144,17 @@ def parameters(settings: IdentifySettings) -> Parameters:
 
 
 def known_arm(data: str) -> str | None:
-    """The arm of conf/arm that a recording is of, by its layout or its columns; None where it is of none.
+    """The arm of conf/arm that a recording is of, by its set, its layout or its columns; None where it is of none.
 
     Raises:
+        ConfigError: It is the name of no data set, and close to one.
         DataError: There is no such file.
     """
     path = Path(data)
+    if data in set_names():
+        return named_set(data).arm
     if not path.exists():
-        raise DataError(f"{path}: there is no such file or folder")
+        refuse(data)
     file = path / "recording.csv" if path.is_dir() else path
     if file.is_file():
         with file.open(encoding="utf-8-sig", errors="replace") as lines:

@@ -15,6 +15,7 @@ from apcc_torch.errors import ConfigError
 from apcc_torch.estimation.sensor_gate import SensorGate
 from apcc_torch.experiments.folder import RunFolder, progress_bar, warn
 from apcc_torch.model.coordinates import Coordinates
+from apcc_torch.recordings.data_set import recording_path
 from apcc_torch.recordings.recorded_arm import TRUNK_BASE, TRUNK_DIRECTION
 from apcc_torch.recordings.recording import detect_layout, load_recording
 from apcc_torch.recordings.replay import held_out_error, replay
@@ -40,8 +41,9 @@ def run(config: SimulateSettings, folder: Path) -> dict[str, float]:
     r = config.replay
     if config.data is None:
         raise ConfigError("data must name the folder or file of a recording: experiment=replay data=FOLDER")
-    layout = detect_layout(config.data) if r.layout == "auto" else r.layout
-    recording = load_recording(config.data, layout=layout, rate=r.rate)
+    path = recording_path(config.data)
+    layout = detect_layout(path) if r.layout == "auto" else r.layout
+    recording = load_recording(path, layout=layout, rate=r.rate)
     direction, base_position = r.direction, r.base_position
     if layout == "trunk":
         # These recordings hold neither the way gravity points nor the base; what is known of them stands in.

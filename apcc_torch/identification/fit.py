@@ -108,8 +108,20 @@ def fit(
         noise, correlation, taken = _size(residual), correlation_length(residual.flatten(1)), taken + count
         if progress is not None:
             progress(f"round {k + 1}: {1e3 * noise * math.sqrt(3.0):.3g} mm after {count} steps")
-    J, weight, _ = problem.jacobian(z, noise * math.sqrt(correlation))
-    return Fit(z, J.mT @ (weight.unsqueeze(-1) * J), noise, correlation, taken)
+    return Fit(z, problem.information(z, noise * math.sqrt(correlation)), noise, correlation, taken)
+
+
+def information(
+    arm: TendonArm, parameters: Parameters, drive: Drive, positions: Tensor, z: Tensor, size: float
+) -> Tensor:
+    """What measured positions say of the parameters at z (P, P), as `Fit.information`.
+
+    Args:
+        arm, parameters, drive, positions: See `fit`.
+        z: (P,) standard scores.
+        size: Of a coordinate's residual, m, with what neighbouring samples repeat.
+    """
+    return _Problem(arm, parameters, drive, positions).information(z, size)
 
 
 def _size(residual: Tensor) -> float:
@@ -141,6 +153,11 @@ class _Problem:
 
         J = jacfwd(predicted)(z).flatten(0, 2) / size
         return J, _weights(residual).flatten(), residual
+
+    def information(self, z: Tensor, size: float) -> Tensor:
+        """J^T W J (P, P)."""
+        J, weight, _ = self.jacobian(z, size)
+        return J.mT @ (weight.unsqueeze(-1) * J)
 
 
 def _weights(residual: Tensor) -> Tensor:

@@ -54,6 +54,8 @@ class Series:
         positions: (N, k, 3) where the bodies were, m, recording frame.
         groups: (N,) int64, the same number for samples of one movement; zeros where nothing is known of movements.
         source: The file.
+        rotations: (N, k, 3, 3) the bodies' axes in the recording frame, as columns; None where positions alone are
+            known.
     """
 
     times: Tensor
@@ -61,6 +63,7 @@ class Series:
     positions: Tensor
     groups: Tensor
     source: str = ""
+    rotations: Tensor | None = None
 
     def __len__(self) -> int:
         return len(self.times)
@@ -151,4 +154,5 @@ def series_of(recording: Recording) -> Series:
         raise DataError(f"{recording.source}: has no frame in which every body was tracked")
     groups = torch.zeros(int(seen.sum()), dtype=torch.int64)
     times = recording.times[seen]
-    return Series(times - times[0], inputs[seen], recording.position[seen], groups, recording.source)
+    turned = None if bool(recording.quaternion.isnan().all()) else recording.rotation[seen]
+    return Series(times - times[0], inputs[seen], recording.position[seen], groups, recording.source, turned)

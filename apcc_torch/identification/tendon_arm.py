@@ -3,7 +3,7 @@
 The equilibrium is K (q - q_rest) + B T(q) = G(q), with the tension of a tendon T = k max(stretch, 0) and its stretch
 the sum of what the actuator pulled, the stretch at the start (pre-tension) and y = B^T q. Capstan friction takes its
 share of T on the way from the motor, by the direction in which the tendon last moved. Inputs act with a lag, the
-damping ratio, as damping D = damping_ratio K makes a slow arm follow its equilibrium.
+damping ratio, as damping D = damping_ratio K makes a slow arm follow its equilibrium. A payload hangs at the tip.
 """
 
 from __future__ import annotations
@@ -27,6 +27,8 @@ _CORNER = 1e-5
 """Width of the rounding where a tendon goes slack, m: a tenth of what is read off a servo."""
 _NODES = ((0.1127016653792583, 5 / 18), (0.5, 8 / 18), (0.8872983346207417, 5 / 18))
 """Gauss points of a section, and their shares of its mass."""
+TIP_MASS = "tip_mass"
+"""The block of a payload at the tip, (1,) kg, which no arm's file holds; without it there is none."""
 _STEP = 1e-7
 """Step of the central differences, rad and m: well inside the corner."""
 _SETTLED = 1e-18
@@ -75,7 +77,7 @@ class TendonArm:
         X_tilde, self.section = decouple(arm.sensor_places(), lengths)
         self.X_tilde = whole(X_tilde)
         self.at_tips = bool((self.X_tilde == 1.0).all())
-        points, weights = zip(*_NODES, strict=True)
+        points, weights = zip(*_NODES, (1.0, 0.0), strict=True)  # the last is the section's tip
         self._nodes, self._weights = (torch.tensor(numbers, dtype=lengths.dtype) for numbers in (points, weights))
 
     def matrix(self, values: Values) -> Tensor:
@@ -113,13 +115,13 @@ class TendonArm:
         return elastic + (blocks * tension[:, None, None, :]).sum(-1).flatten(-2) - self.weight(q, values)
 
     def weight(self, q: Tensor, values: Values) -> Tensor:
-        """Generalized force of the arm's own weight (N, 3 n_b): the mass of a section is spread over its length."""
+        """Generalized force of the weight (N, 3 n_b): the mass of a section is spread over its length."""
         down = so3.exp(values["base_rotation"]).mT @ values["gravity"]
+        share, masses = self._shares(values)
         chain = self.backbone.chain(q, values["rest_length"])
         local = (chain.before.mT @ down).unsqueeze(-2)  # (N, n_b, 1, 3), gravity in the axes of each section's base
         x = self._nodes.unsqueeze(-1)
         arcs = arc_geometry(chain.x.unsqueeze(-1) * self._nodes, chain.y.unsqueeze(-1) * self._nodes)
-        share = self._weights * self.masses.unsqueeze(-1)  # (n_b, nodes)
         length = chain.length[..., None, None]
         # What a section's own bend and length do to its own mass, ...
         bend = length * (x * x) * (local.unsqueeze(-2) @ arcs.bend).squeeze(-2)
@@ -130,13 +132,21 @@ class TendonArm:
         points = starts.unsqueeze(-2) + length * x * (arcs.chord @ chain.before.mT)
         moments = (share.unsqueeze(-1) * points).sum(-2)
         beyond = moments.flip(-2).cumsum(-2).flip(-2) - moments
-        mass = (self.masses.flip(0).cumsum(0).flip(0) - self.masses).unsqueeze(-1)
+        mass = (masses.flip(0).cumsum(0).flip(0) - masses).unsqueeze(-1)
         lever = torch.linalg.cross(beyond - mass * chain.ends, down.expand_as(beyond), dim=-1)
         turned = ((chain.before @ chain.arcs.spin).mT @ lever.unsqueeze(-1)).squeeze(-1)
         carried = mass * (
             local @ torch.cat((chain.length[..., None, None] * chain.arcs.bend, chain.arcs.columns[..., 4:]), -1)
         ).squeeze(-2)
         return (own + carried + torch.nn.functional.pad(turned, (0, 1))).flatten(-2)
+
+    def _shares(self, values: Values) -> tuple[Tensor, Tensor]:
+        """Mass at the sections' nodes (n_b, nodes) and of the sections (n_b,), kg, with the payload at the last tip."""
+        share, masses, payload = self._weights * self.masses.unsqueeze(-1), self.masses, values.get(TIP_MASS)
+        if payload is not None:
+            share = share + torch.nn.functional.pad(payload.unsqueeze(0), (share.shape[-1] - 1, 0, len(share) - 1, 0))
+            masses = masses + torch.nn.functional.pad(payload, (len(masses) - 1, 0))
+        return share, masses
 
     def slide(self, drive: Drive) -> Tensor:
         """Direction in which each tendon last moved (N, n_a): +1 pulled in, -1 paid out."""

@@ -9,7 +9,7 @@ from apcc_torch.paper.law_rows import law_rows
 from apcc_torch.paper.outcomes import HELD_OUT, SINGLE, Outcome, Outcomes
 from apcc_torch.paper.printed_numbers import LEFT_OUT, PUBLISHED, TITLES, Published, published
 from apcc_torch.paper.regret import MANY, regret_rows
-from apcc_torch.paper.text_table import aligned
+from apcc_torch.report.text_table import aligned
 
 Cell = dict[str, float | None]
 

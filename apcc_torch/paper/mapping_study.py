@@ -18,10 +18,10 @@ from apcc_torch.experiments.realtime_run import LOG, settings_of
 from apcc_torch.files import write_atomically, write_json
 from apcc_torch.hardware.log_reader import RobotLog, read_log
 from apcc_torch.paper.measured_curve import measured_curve
-from apcc_torch.paper.text_table import aligned
 from apcc_torch.report.dynamic import RunCurves, mapping_error_figure, psi_figure, sensor_figure
 from apcc_torch.report.overlay import Overlay, error_figure, overlay_figure
 from apcc_torch.report.style import Draw
+from apcc_torch.report.text_table import aligned
 from apcc_torch.simulation.metrics import mapping_error
 
 FIGURES = {

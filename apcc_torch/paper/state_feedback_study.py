@@ -17,9 +17,9 @@ from apcc_torch.experiments.realtime_run import LOG, settings_of
 from apcc_torch.files import write_atomically, write_json
 from apcc_torch.hardware.log_reader import read_log
 from apcc_torch.paper.measured_curve import measured_curve
-from apcc_torch.paper.text_table import aligned
 from apcc_torch.report.state_feedback import Estimate, Estimates, final_figure, four_panel_figure, norm_figure
 from apcc_torch.report.style import Draw
+from apcc_torch.report.text_table import aligned
 
 MODES = ("pose", "position")
 STROBOSCOPIC = {"run_4": "fig_23.png", "run_8": "fig_24.png"}

@@ -5,7 +5,8 @@ recording.csv. Columns may come in any order, and columns not named here are ign
 
     time                                          s, not decreasing
     <body>_x, <body>_y, <body>_z                  position in the recording frame, m
-    <body>_qx, <body>_qy, <body>_qz, <body>_qw    unit quaternion that rotates the body's axes into the recording frame
+    <body>_qx, <body>_qy, <body>_qz, <body>_qw    unit quaternion that rotates the body's axes into the recording frame;
+                                                  a body may lack all four, and has no orientation then
     <body>_tracked      optional                  1 or 0; where it is 0 the body's other cells may be empty
     u1, u2, ...         optional                  inputs sent to the actuators, in the actuators' own unit
     phi1, phi2, ...     optional                  what the actuators measured, in their own unit
@@ -49,7 +50,8 @@ class Recording:
         names: The bodies' names, k of them.
         times: Time stamps in s, shape (T,).
         position: Body positions in m, shape (T, k, 3).
-        quaternion: Unit quaternions (x, y, z, w), body axes into the recording frame, shape (T, k, 4).
+        quaternion: Unit quaternions (x, y, z, w), body axes into the recording frame, shape (T, k, 4); NaN where
+            positions alone were recorded.
         tracked: Where the body was seen, bool, shape (T, k); elsewhere its pose may be NaN.
         inputs: Inputs sent to the actuators, shape (T, m), in the actuators' own unit.
         actuators: What the actuators measured, shape (T, m), in their own unit.
@@ -102,9 +104,14 @@ class Recording:
 
 
 def _pose(table: CsvTable, columns: Sequence[str], tracked: Tensor) -> tuple[Tensor, Tensor]:
-    """Position (T, 3) and quaternion (T, 4) from seven columns, checked where `tracked` (T,)."""
-    values = table.finite(columns, tracked)
-    position, quaternion = values.split((3, 4), dim=-1)
+    """Position (T, 3) and quaternion (T, 4) from seven columns, checked where `tracked` (T,).
+
+    Without any of the last four the quaternions are NaN.
+    """
+    position = table.finite(columns[:3], tracked)
+    if not any(name in table.columns for name in columns[3:]):
+        return position, position.new_full((len(position), 4), torch.nan)
+    quaternion = table.finite(columns[3:], tracked)
     length = torch.linalg.vector_norm(quaternion, dim=-1)
     bad = ((length - 1).abs() > _UNIT_TOLERANCE) & tracked
     if bool(bad.any()):

@@ -119,6 +119,10 @@ def calibrate(
     seen = recording.tracked[:count] & position.isfinite().all(-1) & rotation.isfinite().flatten(-2).all(-1)
     points, turns, far, wide = [], [], [], []
     for k, name in enumerate(recording.names):
+        if bool(recording.quaternion[:, k].isnan().all()):
+            raise DataError(
+                f"{recording.source}: {name!r} has no orientation (quaternion), which its mount is found from"
+            )
         if not bool(seen[:, k].any()):
             raise DataError(f"{recording.source}: {name!r} was never tracked in the {count} frames at rest")
         p, R = position[seen[:, k], k], rotation[seen[:, k], k]

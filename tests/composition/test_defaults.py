@@ -21,6 +21,7 @@ import apcc_torch
 from apcc_torch.classes import class_named
 from apcc_torch.composition.benchmark import BenchmarkSettings
 from apcc_torch.composition.build import Builder
+from apcc_torch.composition.evaluate import EvaluateSettings
 from apcc_torch.composition.identify import IdentifySettings
 from apcc_torch.composition.realtime import RealtimeSettings
 from apcc_torch.composition.run_settings import SimulateSettings
@@ -33,7 +34,7 @@ from apcc_torch.settings import Settings, about_of, default_of, keys
 from composed import composed, composed_realtime
 
 CONF = Path(conf_path())
-ROOTS = {"grid": BenchmarkSettings, "identification": IdentifySettings}
+ROOTS = {"grid": BenchmarkSettings, "data": EvaluateSettings, "identification": IdentifySettings}
 ON_AN_ARM = ("guards", "hardware", "calibration", "experiment_1", "experiment_2")
 
 ALLOWED = {

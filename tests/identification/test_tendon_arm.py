@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 
 from apcc_torch.identification.arm_blocks import Spreads, arm_parameters
-from apcc_torch.identification.tendon_arm import Drive, TendonArm
+from apcc_torch.identification.tendon_arm import TIP_MASS, Drive, TendonArm
 from apcc_torch.lie import so3
 from apcc_torch.model.arm_placement import Placement
 from apcc_torch.model.arm_tendons import Actuation, Tendons
@@ -28,6 +28,8 @@ def test_weight_is_that_of_the_dynamics() -> None:
     scale = torch.tensor([1.0, 1.0, 0.01], dtype=torch.float64).repeat(2)
     q = torch.randn(20, 6, generator=generator, dtype=torch.float64) * scale
     torch.testing.assert_close(arm.weight(q, values), -_dynamics(arm, values).gravity(q), rtol=1e-9, atol=1e-12)
+    loaded = arm.weight(q, values | {TIP_MASS: torch.tensor([0.3], dtype=torch.float64)})
+    torch.testing.assert_close(loaded, -_dynamics(arm, values).static_load(q, 0.3), rtol=1e-9, atol=1e-12)
 
 
 def test_rest_of_taut_tendons_is_the_equilibrium_of_statics() -> None:

@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 from apcc_torch.errors import ApccError, ConfigError, DataError, ShapeError, ValueRangeError
 from apcc_torch.lie.rotations import quaternion_rotation
 from apcc_torch.recordings.recording import Recording, load_recording, save_recording
+from apcc_torch.recordings.rest_pose import calibrate
 from laws import check_batching, generator, normal
 
 
@@ -185,6 +186,18 @@ def test_the_trunk_layout(tmp_path: Path) -> None:
     (tmp_path / "control_inputs_a_1.csv").unlink()
     alone = load_recording(tmp_path, "trunk")
     assert len(alone) == 4 and alone.inputs is None
+
+
+def test_positions_alone_are_a_recording(tmp_path: Path) -> None:
+    (tmp_path / "observations_p.csv").write_text("ID,x1,y1,z1,phi1\n0,1,2,3,0.5\n1,1,2,4,0.6\n")
+    r = load_recording(tmp_path, "trunk")
+    assert r.position[:, 0].tolist() == [[1, 2, 3], [1, 2, 4]]
+    assert bool(r.quaternion.isnan().all()) and bool(r.rotation.isnan().all())
+    with pytest.raises(DataError, match="'disk1' has no orientation"):
+        calibrate(r, rest=2, base_position=[1.0, 2.0, 0.0], direction=[0.0, 0.0, 1.0])
+    (tmp_path / "observations_p.csv").write_text("ID,x1,y1,z1,qx1\n0,1,2,3,0.5\n")
+    with pytest.raises(DataError, match="column 'qy1': the column is missing"):
+        load_recording(tmp_path, "trunk")
 
 
 @pytest.mark.parametrize(("frames", "commands"), [(4, 2), (4, 5)])

@@ -44,11 +44,11 @@ class Page:
 
     def html(self) -> str:
         """The whole file."""
-        template = Template(_asset("page.html"))
-        script = "\n".join(_asset(f"{name}.js") for name in SCRIPTS)
+        template = Template(asset("page.html"))
+        script = "\n".join(asset(f"{name}.js") for name in SCRIPTS)
         return template.substitute(
             title=escape(for_terminal(self.title)),
-            style=_asset("style.css"),
+            style=asset("style.css"),
             script=script,
             data=inside_script(self.data()),
         )
@@ -80,7 +80,8 @@ class Page:
         }
 
 
-def _asset(name: str) -> str:
+def asset(name: str) -> str:
+    """A file of the page, such as its style."""
     return (resources.files("apcc_torch.report.page") / "assets" / name).read_text(encoding="utf-8")
 
 

@@ -1,0 +1,77 @@
+"""`data=` on a command line that evaluates: a name in conf/data, a data set's file, or a recording itself."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from apcc_torch.composition.arm_file import SUFFIXES, spelled
+from apcc_torch.composition.identify import known_arm
+from apcc_torch.errors import ConfigError, DataError
+from apcc_torch.files import yaml_in
+from apcc_torch.recordings.data_set import holding, named_set, refuse, set_names
+
+FILE = "data.yaml"
+"""Name of a data set's file in a folder that is given for it."""
+
+
+def data_override(arguments: Sequence[str]) -> list[str]:
+    """Arguments as Hydra takes them, with the arm of the recordings where they name none.
+
+    A data set's file holds what the files of conf/data do; files and the arm's are found beside it. Of a recording,
+    the set is the one of conf/data whose files it has, else it is a set of one recording.
+
+    Raises:
+        ConfigError: The arm is not known.
+        DataError: There is no such file, or it cannot be read.
+    """
+    given = next((word.removeprefix("data=") for word in arguments if word.startswith("data=")), None)
+    if given is None:
+        return list(arguments)
+    rest = [word for word in arguments if not word.startswith("data=")]
+    words, arm = _words(given)
+    if any(word.startswith(("arm=", "--config-name", "-cn")) for word in rest):
+        return [*words, *rest]
+    if not arm:
+        raise ConfigError(f"arm must be named: arm=NAME or arm=FILE, as {given} is of no arm in conf/arm")
+    return [*words, f"arm={arm}", *rest]
+
+
+def _words(given: str) -> tuple[list[str], str]:
+    """What stands for `data=given`, and the arm that it names."""
+    if given in set_names():
+        return [f"data={given}"], named_set(given).arm
+    path = Path(given)
+    file = path / FILE if path.is_dir() else path
+    if file.suffix in SUFFIXES and (file.is_file() or not path.is_dir()):
+        return _of_file(file)
+    if not path.exists():
+        refuse(given)
+    folder = path if path.is_dir() else path.parent
+    known = holding(folder, {name: named_set(name) for name in set_names()})
+    if known is not None and path.is_dir():
+        return [f"data={known}", f"data.folder={spelled(str(path.resolve()))}"], named_set(known).arm
+    alone = {"name": path.stem, "folder": str(folder.resolve()), "sessions": {"recording": {"file": ""}}}
+    if not path.is_dir():
+        alone["sessions"] = {"recording": {"file": path.name}}
+    return ["~data", f"data={spelled(alone)}"], known_arm(given) or ""
+
+
+def _of_file(file: Path) -> tuple[list[str], str]:
+    try:
+        values = yaml_in(file.read_text(encoding="utf-8"), str(file))
+    except OSError as error:
+        raise DataError(f"{file}: cannot be read ({error.strerror})") from error
+    if not isinstance(values, dict) or not isinstance(values.get("data"), dict):
+        raise DataError(f"{file}: must hold the group data, as the files of conf/data do")
+    data: dict[str, Any] = {"name": file.stem if file.name != FILE else file.resolve().parent.name} | values.pop("data")
+    if data.get("source") is None:
+        data.setdefault("folder", ".")
+    if data.get("folder") is not None:
+        data["folder"] = str((file.resolve().parent / str(data["folder"])).resolve())
+    arm = str(data.get("arm", ""))
+    if arm.endswith(SUFFIXES):
+        arm = str(file.resolve().parent / arm)
+    words = ["~data", f"data={spelled(data)}"]
+    return [*words, *(f"{key}={spelled(value)}" for key, value in values.items())], arm

@@ -1,0 +1,52 @@
+"""python -m apcc_torch.evaluate: how well this toolkit and others know a real arm, on recordings of it."""
+
+from __future__ import annotations
+
+import logging
+import sys
+from pathlib import Path
+
+import hydra
+from hydra.core.config_store import ConfigStore
+from hydra.core.hydra_config import HydraConfig
+from omegaconf import DictConfig
+
+from apcc_torch.composition.arm_file import arm_override
+from apcc_torch.composition.data_file import data_override
+from apcc_torch.composition.evaluate import EvaluateSettings
+from apcc_torch.composition.help import describe, for_manual
+from apcc_torch.composition.identify import of_a_fit
+from apcc_torch.composition.schema import check_words, schema, typed
+from apcc_torch.composition.unread import check_given
+from apcc_torch.conf_path import conf_path
+from apcc_torch.errors import one_sentence
+from apcc_torch.experiments import evaluation
+from apcc_torch.plain_text import for_terminal
+from apcc_torch.sweeps.claim import held_folder, refusals
+
+log = logging.getLogger("apcc_torch.evaluate")
+
+ConfigStore.instance().store(name="evaluate_schema", node=schema(EvaluateSettings))
+describe("evaluate", EvaluateSettings)
+
+
+@hydra.main(version_base="1.3", config_path=conf_path(), config_name="evaluate")
+def _hydra_main(cfg: DictConfig) -> None:
+    folder = Path(HydraConfig.get().runtime.output_dir)
+    with one_sentence(log.error):
+        settings = typed(cfg, EvaluateSettings)
+        check_given(of_a_fit, [settings], HydraConfig.get().overrides.task)
+        text = evaluation.run(settings, folder, log.debug)
+    log.info("results in %s\n%s", for_terminal(str(folder)), text)
+
+
+def main() -> None:
+    """Console entry point."""
+    with held_folder(), refusals("evaluate"):
+        check_words(sys.argv[1:], EvaluateSettings, "evaluate")
+        sys.argv[1:] = arm_override(data_override(for_manual(sys.argv[1:], "data=trunk_payload")))
+        _hydra_main()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,31 @@
+"""The rows of the leaderboard: a method more is its class, and a line here."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from apcc_torch.evaluation import arm_methods, learning, residual_methods, sections_methods
+from apcc_torch.evaluation.method import Known, Method
+
+METHODS: dict[str, Callable[[Known], Method]] = {
+    "mean": learning.Mean,
+    "linear": learning.Linear,
+    "kernel ridge": learning.KernelMethod,
+    "kernel ridge, split at slack": learning.KernelAtSlack,
+    "random forest": learning.Forest,
+    "MLP": learning.Network,
+    "PCC as built": arm_methods.AsBuilt,
+    "PCC identified": arm_methods.IdentifiedGeometry,
+    "PCC, geometry followed": arm_methods.FollowedGeometry,
+    "arm identified": arm_methods.IdentifiedArm,
+    "arm identified, payload followed": arm_methods.IdentifiedWithMass,
+    "arm identified, load followed": arm_methods.IdentifiedUnderLoad,
+    "arm identified, rest learned": residual_methods.LearnedRest,
+    "PCC through the sensors": sections_methods.ThroughSensors,
+    "affine through the sensors": sections_methods.AffineThroughSensors,
+    "spline through the sensors": sections_methods.Spline,
+    "PCC, best lengths in hindsight": sections_methods.BestLengths,
+    "most probable PCC": sections_methods.Posterior,
+    "most probable affine": sections_methods.AffinePosterior,
+}
+"""Name -> what makes the method of what is known."""
