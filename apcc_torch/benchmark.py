@@ -16,6 +16,7 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from apcc_torch.composed import initialised
+from apcc_torch.composition.arguments import options_first
 from apcc_torch.composition.arm_file import arm_override
 from apcc_torch.composition.benchmark import BenchmarkSettings, ComparisonSettings
 from apcc_torch.composition.help import describe
@@ -115,6 +116,7 @@ def main() -> None:
     """Console entry point."""
     with held_folder(), refusals("benchmark"):
         check_words(sys.argv[1:], BenchmarkSettings, "benchmark")
+        sys.argv[1:] = options_first(sys.argv[1:])
         _hydra_main()
 
 

@@ -47,7 +47,7 @@ LAYERS: tuple[tuple[str, ...], ...] = (
     ("paper",),
     ("sweeps",),
     ("composed", "simulate"),
-    ("benchmark", "identify", "report.__main__", "robot", "robot_log"),
+    ("benchmark", "identify", "new_arm", "report.__main__", "robot", "robot_log"),
 )
 
 # What a unit does without, though it lies below: real devices know no simulation, and get the simulated arm's plant.

@@ -14,6 +14,7 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from apcc_torch.classes import Trust
+from apcc_torch.composition.proportion import in_proportion
 from apcc_torch.conf_path import conf_path
 from apcc_torch.errors import ConfigError, DataError, one_sentence
 from apcc_torch.files import yaml_in
@@ -170,7 +171,7 @@ def typed(cfg: DictConfig, root: type[Root]) -> Root:
         if name in root.elsewhere:
             what = f"experiment={values['experiment']['name']}" if "experiment" in values else "this"
             raise ConfigError(f"{what} is for {root.elsewhere[name]}: it sets {name}")
-    return read(values, root)
+    return read(in_proportion(values, root), root)
 
 
 def text(settings: Settings) -> str:
