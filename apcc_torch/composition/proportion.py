@@ -25,7 +25,8 @@ PROPORTIONAL: dict[str, Callable[[Arm], float]] = {
     "m": arm_scale.length,
     "m/rad": arm_scale.length,
     "m/s": arm_scale.length,
-    "1/s": lambda arm: min(arm_scale.rate(arm), arm_scale.rate(_named("arm_1"))),  # sensors are no faster
+    "1/s": lambda arm: _pace(arm),
+    "s": lambda arm: 1.0 / _pace(arm),
     "kg": arm_scale.largest_payload,
     "N": arm_scale.tendon_force,
     "N/m": arm_scale.tendon_stiffness,
@@ -33,6 +34,11 @@ PROPORTIONAL: dict[str, Callable[[Arm], float]] = {
     "N s/m": arm_scale.tendon_damping,
 }
 """A unit -> what of an arm its numbers go with."""
+
+
+def _pace(arm: Arm) -> float:
+    """How fast an arm may be driven: a slow one as it swings, and none faster than arm 1, for sensors are no faster."""
+    return min(arm_scale.rate(arm), arm_scale.rate(_named("arm_1")))
 
 
 def in_proportion(values: dict[str, Any], root: type[Settings]) -> dict[str, Any]:

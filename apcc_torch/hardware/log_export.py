@@ -19,6 +19,8 @@ from apcc_torch.lie import so3
 from apcc_torch.plain_text import for_spreadsheet, for_terminal
 from apcc_torch.recordings.recording import Recording, save_recording
 
+SCALARS = ("time", "tick", "sequence", "lateness")
+"""Fields that are one number."""
 LONGEST_NAME = 100
 """Most letters of a topic in the name of its file."""
 
@@ -87,7 +89,7 @@ def _timed(log: RobotLog, topic: str, *fields: str) -> NDArray[np.void]:
     """
     rows = log.topic(topic)
     for name in ("time", *fields):
-        if name not in (rows.dtype.names or ()) or rows.dtype[name].ndim != (name not in ("time", "lateness")):
+        if name not in (rows.dtype.names or ()) or rows.dtype[name].ndim != (name not in SCALARS):
             raise DataError(f"{topic} of the log has no {name}")
     return rows[np.isfinite(rows["time"])]
 
@@ -152,8 +154,7 @@ def write_recording(log: RobotLog, path: Path | str) -> Path:
         -torch.from_numpy(tendons["y"][at].copy()),
         source=str(path),
     )
-    with _writing(Path(path)):
-        save_recording(recording, path)
+    save_recording(recording, path)
     return Path(path)
 
 

@@ -42,9 +42,11 @@ def tendon_force(arm: Arm) -> float:
 
 def rate(arm: Arm) -> float:
     """How fast it swings about its base with its largest payload, rad/s."""
-    ends = arm.rest_lengths().cumsum(-1)
-    middles = ends - 0.5 * arm.rest_lengths()
-    inertia = (arm.section_masses() * middles.square()).sum() + largest_payload(arm) * ends[-1] ** 2
+    lengths = arm.rest_lengths()
+    middles = lengths.cumsum(-1) - 0.5 * lengths
+    inertia = (
+        arm.section_masses() @ (middles.square() + lengths.square() / 12.0) + largest_payload(arm) * length(arm) ** 2
+    )
     return float((_moments(arm)[0] / inertia).sqrt())
 
 

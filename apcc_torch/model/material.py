@@ -77,7 +77,7 @@ def sag(arm: Arm, load: float = 0.0, q: Tensor | None = None, stiffened: float =
     """
     if q is None and stiffened < STIFFEST:
         # Newton's steps from a straight arm may end in another shape than that into which it sinks.
-        stiffer = sag(arm, load, stiffened=4.0 * stiffened)
+        stiffer = sag(arm, load, stiffened=8.0 * stiffened)
         if stiffer is None:
             return None
         q = stiffer.q
