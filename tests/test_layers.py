@@ -46,8 +46,8 @@ LAYERS: tuple[tuple[str, ...], ...] = (
     ("experiments",),
     ("paper",),
     ("sweeps",),
-    ("composed", "simulate"),
-    ("benchmark", "identify", "new_arm", "report.__main__", "robot", "robot_log"),
+    ("composed", "new_arm", "simulate"),
+    ("benchmark", "identify", "report.__main__", "robot", "robot_log"),
 )
 
 # What a unit does without, though it lies below: real devices know no simulation, and get the simulated arm's plant.
