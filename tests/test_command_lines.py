@@ -23,6 +23,7 @@ from apcc_torch.report import __main__ as report
         (simulate.main, "experiment=kinematic feedback.mod=pose", "feedback.mod is no setting; did you mean mode?"),
         (simulate.main, "experiment=kinematic controller.K=[1,", "'controller.K=[1,' cannot be read: "),
         (simulate.main, "-cd {} experiment=kinematics", "did you mean kinematic?"),
+        (simulate.main, "experiment=kinematics -cd {} seed=1", "did you mean kinematic?"),
         (robot.main, "experiment=setpont", "experiment has no choice 'setpont'; did you mean setpoint?"),
         (
             robot.main,

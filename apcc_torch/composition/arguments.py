@@ -24,7 +24,9 @@ def options_first(words: Sequence[str]) -> list[str]:
         >>> options_first(["experiment=mine", "-cd", "conf", "seed=1", "-m"])
         ['-cd', 'conf', '-m', 'experiment=mine', 'seed=1']
     """
-    options, others, rest = [], [], iter(words)
+    options: list[str] = []
+    others: list[str] = []
+    rest = iter(words)
     for word in rest:
         if word in WITH_VALUE:
             options += [word, *itertools.islice(rest, 1)]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from math import cos, pi
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -82,7 +83,7 @@ def _draw_around(ax: Axes, arm: Arm) -> None:
     angles, offsets = style.values(routing.angles), MM * style.values(routing.offsets)
     places = np.stack((offsets * np.cos(angles), offsets * np.sin(angles)), axis=-1)
     for k, rack in enumerate(racks):
-        look = {"color": style.SERIES[k % len(style.SERIES)], "markersize": 9.0}
+        look: dict[str, Any] = {"color": style.SERIES[k % len(style.SERIES)], "markersize": 9.0}
         ax.plot(*places[anchors == rack].T, "o", label=f"end at {MM * rack:.4g} mm", **look)
     here: dict[tuple[float, float], list[str]] = {}
     for i, (x, y) in enumerate(places):  # tendons of far racks may run through one hole
