@@ -15,6 +15,7 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from apcc_torch.composed import initialised
+from apcc_torch.composition.arguments import options_first
 from apcc_torch.composition.arm_file import arm_override
 from apcc_torch.composition.benchmark import BenchmarkSettings, ComparisonSettings, OverrideSettings
 from apcc_torch.composition.help import describe
@@ -135,6 +136,7 @@ def main() -> None:
     """Console entry point."""
     with held_folder(), refusals("benchmark"):
         check_words(sys.argv[1:], BenchmarkSettings, "benchmark")
+        sys.argv[1:] = options_first(sys.argv[1:])
         check_options("benchmark")
         _hydra_main()
 

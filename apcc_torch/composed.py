@@ -23,6 +23,7 @@ from apcc_torch.composition.unread import check_given, of_a_simulation
 from apcc_torch.conf_path import conf_path
 from apcc_torch.control.composite_controller import CompositeController
 from apcc_torch.control.controller import APCCController
+from apcc_torch.control.trajectory import SineTrajectory
 from apcc_torch.errors import ConfigError
 from apcc_torch.experiments.run import run
 from apcc_torch.files import write_atomically
@@ -49,6 +50,10 @@ class Composed:
         """The true arm, a row for every set-point with every payload; a row for every payload of a trajectory."""
         build = Builder(self.settings)
         return build.plant(build.grid()[1] if self.settings.experiment.setpoints else build.payloads())
+
+    def trajectory(self) -> SineTrajectory:
+        """Where the end effector is to go, in an experiment without set-points."""
+        return Builder(self.settings).sine()
 
     def first_estimate(self) -> torch.Tensor:
         """(n_b,) pi_hat at the start, m."""

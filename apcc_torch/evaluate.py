@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import sys
 from pathlib import Path
 
@@ -11,6 +10,7 @@ from hydra.core.config_store import ConfigStore
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
+from apcc_torch.composition.arguments import options_first
 from apcc_torch.composition.arm_file import arm_override
 from apcc_torch.composition.data_file import data_override
 from apcc_torch.composition.evaluate import EvaluateSettings
@@ -21,10 +21,10 @@ from apcc_torch.composition.unread import check_given
 from apcc_torch.conf_path import conf_path
 from apcc_torch.errors import one_sentence
 from apcc_torch.experiments import evaluation
-from apcc_torch.plain_text import for_terminal
-from apcc_torch.sweeps.claim import held_folder, refusals
+from apcc_torch.plain_text import plain_logger
+from apcc_torch.sweeps.claim import check_options, given, held_folder, refusals
 
-log = logging.getLogger("apcc_torch.evaluate")
+log = plain_logger("apcc_torch.evaluate")
 
 ConfigStore.instance().store(name="evaluate_schema", node=schema(EvaluateSettings))
 describe("evaluate", EvaluateSettings)
@@ -35,16 +35,17 @@ def _hydra_main(cfg: DictConfig) -> None:
     folder = Path(HydraConfig.get().runtime.output_dir)
     with one_sentence(log.error):
         settings = typed(cfg, EvaluateSettings)
-        check_given(of_a_fit, [settings], HydraConfig.get().overrides.task)
+        check_given(of_a_fit, [settings], given())
         text = evaluation.run(settings, folder, log.debug)
-    log.info("results in %s\n%s", for_terminal(str(folder)), text)
+    log.info("results in %s\n%s", folder, text)
 
 
 def main() -> None:
     """Console entry point."""
     with held_folder(), refusals("evaluate"):
         check_words(sys.argv[1:], EvaluateSettings, "evaluate")
-        sys.argv[1:] = arm_override(data_override(for_manual(sys.argv[1:], "data=trunk_payload")))
+        sys.argv[1:] = options_first(arm_override(data_override(for_manual(sys.argv[1:], "data=trunk_payload"))))
+        check_options("evaluate")
         _hydra_main()
 
 

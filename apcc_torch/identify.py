@@ -11,6 +11,7 @@ from hydra.core.config_store import ConfigStore
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
+from apcc_torch.composition.arguments import options_first
 from apcc_torch.composition.arm_file import arm_override
 from apcc_torch.composition.help import describe, for_manual
 from apcc_torch.composition.identify import IdentifySettings, known_arm, of_a_fit
@@ -61,7 +62,7 @@ def main() -> None:
     """Console entry point."""
     with held_folder(), refusals("identify"):
         check_words(sys.argv[1:], IdentifySettings, "identify")
-        sys.argv[1:] = arm_override(with_arm(for_manual(sys.argv[1:], "arm=ftdcr_v6")))
+        sys.argv[1:] = options_first(arm_override(with_arm(for_manual(sys.argv[1:], "arm=ftdcr_v6"))))
         check_options("identify")
         _hydra_main()
 

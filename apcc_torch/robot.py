@@ -11,6 +11,7 @@ from hydra.core.config_store import ConfigStore
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 
+from apcc_torch.composition.arguments import options_first
 from apcc_torch.composition.arm_file import arm_override
 from apcc_torch.composition.help import describe, for_manual
 from apcc_torch.composition.realtime import RealtimeSettings, of_a_realtime_run
@@ -49,7 +50,7 @@ def main() -> None:
     """Console entry point."""
     with held_folder(), refusals("robot"):
         check_words(sys.argv[1:], RealtimeSettings, "realtime")
-        sys.argv[1:] = arm_override(for_manual(sys.argv[1:], "experiment=setpoint"))
+        sys.argv[1:] = options_first(arm_override(for_manual(sys.argv[1:], "experiment=setpoint")))
         check_options("robot")
         _hydra_main()
 

@@ -13,7 +13,7 @@ from apcc_torch.classes import ALLOWED
 from apcc_torch.composition.arguments import Arguments
 from apcc_torch.errors import ApccError
 from apcc_torch.experiments.realtime_run import replay_log
-from apcc_torch.hardware.log_export import write_parquet, write_rerun
+from apcc_torch.hardware.log_export import write_parquet, write_recording, write_rerun
 from apcc_torch.hardware.log_reader import RobotLog, read_log
 from apcc_torch.plain_text import for_terminal
 from apcc_torch.processes import stoppable
@@ -64,6 +64,11 @@ def rerun(record: RobotLog, arguments: argparse.Namespace) -> Answer:
     return str(write_rerun(record, arguments.out or Path(arguments.log).with_suffix(".rrd"))), 0
 
 
+def recording(record: RobotLog, arguments: argparse.Namespace) -> Answer:
+    """Writes a recording that can be replayed and identified."""
+    return str(write_recording(record, arguments.out or Path(arguments.log).with_name("recording.csv"))), 0
+
+
 def attachments(record: RobotLog, arguments: argparse.Namespace) -> Answer:
     """The attached files."""
     return "\n".join(f"# {name}\n{text}" for name, text in record.attachments.items()), 0
@@ -77,6 +82,7 @@ COMMANDS: dict[str, tuple[Callable[[RobotLog, argparse.Namespace], Answer], str]
     ),
     "parquet": (parquet, "one parquet file a topic (needs pyarrow)"),
     "rerun": (rerun, "a recording for the rerun viewer (needs rerun-sdk)"),
+    "recording": (recording, "a recording.csv, as simulate experiment=replay and identify read it"),
     "attachments": (attachments, "the attached files, such as the settings"),
 }
 
@@ -100,7 +106,7 @@ def parser() -> argparse.ArgumentParser:
                 metavar="NAME",
                 help="a class of yours that the log's settings may name, as package.module.Class; can be repeated",
             )
-        if name in ("parquet", "rerun"):
+        if name in ("parquet", "rerun", "recording"):
             command.add_argument("--out", type=Path, help="folder or file to write; beside the log if not given")
     return top
 

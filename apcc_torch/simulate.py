@@ -12,6 +12,7 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
 from omegaconf import DictConfig
 
+from apcc_torch.composition.arguments import options_first
 from apcc_torch.composition.arm_file import arm_override
 from apcc_torch.composition.help import describe, for_manual
 from apcc_torch.composition.run_settings import SimulateSettings
@@ -61,7 +62,8 @@ def main() -> None:
         try:
             with refusals("simulate"):
                 check_words(sys.argv[1:], SimulateSettings, "simulate")
-                sys.argv[1:] = with_batch(arm_override(for_manual(sys.argv[1:], "experiment=kinematic")))
+                words = with_batch(arm_override(for_manual(sys.argv[1:], "experiment=kinematic")))
+                sys.argv[1:] = options_first(words)
                 check_options("simulate")
                 _hydra_main()
         except (Exception, SystemExit):  # a stop is told in a word

@@ -28,6 +28,7 @@ from apcc_torch.report import __main__ as report
         (robot.main, "--config-dir {}/nope experiment=setpoint", "nope"),
         (benchmark.main, "--cfg x", "there is no x; it has job, hydra, all"),
         (simulate.main, "-cd {} experiment=kinematics", "did you mean kinematic?"),
+        (simulate.main, "experiment=kinematics -cd {} seed=1", "did you mean kinematic?"),
         (robot.main, "experiment=setpont", "experiment has no choice 'setpont'; did you mean setpoint?"),
         (
             robot.main,

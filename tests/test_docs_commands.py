@@ -22,7 +22,7 @@ import torch
 from hydra import compose, initialize_config_dir
 from hydra.core.override_parser.overrides_parser import OverridesParser
 
-from apcc_torch import benchmark  # whose import registers their settings with hydra
+from apcc_torch import benchmark, new_arm  # the import of the first registers their settings with hydra
 from apcc_torch.composition.benchmark import BenchmarkSettings
 from apcc_torch.composition.help import rows
 from apcc_torch.composition.identify import IdentifySettings
@@ -61,6 +61,7 @@ NEEDS = {
 }
 """What a command holds, or a block -> the package that it cannot do without."""
 
+YOUR_ARM = "docs/your_arm.md"
 CHOSEN = ("plant", "adaptation", "model", "dynamics_law")
 """Groups whose choices have keys of their own."""
 
@@ -153,8 +154,26 @@ def options_of(command: Command, monkeypatch: pytest.MonkeyPatch) -> argparse.Na
     return options
 
 
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Where a reader of docs/your_arm.md is: with the files of its arms, as its own commands write them."""
+    made = tmp_path_factory.mktemp("reader")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(made)
+        for command in COMMANDS:
+            if command.program == "new_arm" and command.page == YOUR_ARM:
+                new_arm.main(command.arguments)
+    return made
+
+
+def place(page: str, folder: Path) -> Path:
+    """Where what stands on a page is run."""
+    return folder if page == YOUR_ARM else ROOT
+
+
 @pytest.mark.parametrize("command", CHECKED, ids=lambda command: command.text)
-def test_command(command: Command, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_command(command: Command, monkeypatch: pytest.MonkeyPatch, folder: Path) -> None:
+    monkeypatch.chdir(place(command.page, folder))
     for held, needed in NEEDS.items():
         if held in command.text:
             pytest.importorskip(needed)
@@ -176,10 +195,10 @@ def names_in(page: str) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize("block", RUN, ids=lambda block: block.name)
-def test_python_block(block: Block, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_python_block(block: Block, monkeypatch: pytest.MonkeyPatch, folder: Path) -> None:
     if block.name in NEEDS:
         pytest.importorskip(NEEDS[block.name])
-    monkeypatch.chdir(ROOT)
+    monkeypatch.chdir(place(block.page, folder))
     torch.manual_seed(0)
     exec(compile(block.code, block.name, "exec"), names_in(block.page))
 

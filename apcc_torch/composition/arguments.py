@@ -3,11 +3,36 @@
 from __future__ import annotations
 
 import argparse
+import itertools
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import NoReturn
 
 from apcc_torch.settings import did_you_mean
+
+WITH_VALUE = {
+    *("-cd", "--config-dir", "-cp", "--config-path", "-cn", "--config-name"),
+    *("-c", "--cfg", "-p", "--package", "--experimental-rerun"),
+}
+"""Options of hydra's that a word follows."""
+
+
+def options_first(words: Sequence[str]) -> list[str]:
+    """A command line as hydra takes it, which wants all of its KEY=VALUE in one piece: options stand before them.
+
+    Example:
+        >>> options_first(["experiment=mine", "-cd", "conf", "seed=1", "-m"])
+        ['-cd', 'conf', '-m', 'experiment=mine', 'seed=1']
+    """
+    options: list[str] = []
+    others: list[str] = []
+    rest = iter(words)
+    for word in rest:
+        if word in WITH_VALUE:
+            options += [word, *itertools.islice(rest, 1)]
+        else:
+            (options if word.startswith("-") else others).append(word)
+    return [*options, *others]
 
 
 class Arguments(argparse.ArgumentParser):

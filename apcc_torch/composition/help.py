@@ -128,10 +128,7 @@ def for_manual(arguments: Sequence[str], word: str) -> list[str]:
     group = word.partition("=")[0]
     if not asked or any(argument.startswith(f"{group}=") for argument in arguments):
         return list(arguments)
-    rest = [argument for argument in arguments if argument not in asked]
-    # Hydra takes overrides in one piece only.
-    at = next((i for i, each in enumerate(rest) if "=" in each and not each.startswith("-")), len(rest))
-    return [*asked, *rest[:at], word, *rest[at:]]
+    return [*asked, *(argument for argument in arguments if argument not in asked), word]
 
 
 def describe(command: str, root: type[Settings], config: str | None = None) -> None:

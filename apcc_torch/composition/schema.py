@@ -15,6 +15,7 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from apcc_torch.classes import Trust
+from apcc_torch.composition.proportion import in_proportion
 from apcc_torch.conf_path import conf_path
 from apcc_torch.errors import ApccError, ConfigError, DataError, in_a_line, one_sentence
 from apcc_torch.files import yaml_in
@@ -179,7 +180,7 @@ def typed(cfg: DictConfig, root: type[Root]) -> Root:
         if name in root.elsewhere:
             what = f"experiment={values['experiment']['name']}" if "experiment" in values else "this"
             raise ConfigError(f"{what} is for {root.elsewhere[name]}: it sets {name}")
-    return read(values, root)
+    return read(in_proportion(values, root), root)
 
 
 def text(settings: Settings) -> str:

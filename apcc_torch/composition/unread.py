@@ -20,8 +20,8 @@ SINE = "experiment.r_0 experiment.A experiment.omega"
 STARTS = "experiment.start_errors experiment.start_error"
 BODY = (
     "arm.racks arm.tendon_offset arm.tendons_per_rack arm.rack_twist arm.layout arm.tendons arm.mass arm.masses "
-    "arm.axial_stiffness arm.bending_stiffness arm.stiffness_reference arm.stiffness_rule arm.axial_rigidity "
-    "arm.bending_rigidity arm.damping_ratio arm.true_sensors"
+    "arm.payload arm.axial_stiffness arm.bending_stiffness arm.stiffness_reference arm.stiffness_rule "
+    "arm.axial_rigidity arm.bending_rigidity arm.damping_ratio arm.true_sensors"
 )
 """What forces act on and tendons pull: none of it is in kinematics."""
 

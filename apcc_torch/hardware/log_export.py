@@ -8,13 +8,19 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
 from apcc_torch.errors import ConfigError, DataError, in_a_line
 from apcc_torch.files import draft_of
 from apcc_torch.hardware.log_reader import RobotLog
+from apcc_torch.lie import so3
 from apcc_torch.plain_text import for_spreadsheet, for_terminal
+from apcc_torch.recordings.recording import Recording, save_recording
 
+SCALARS = ("time", "tick", "sequence", "lateness")
+"""Fields that are one number."""
 LONGEST_NAME = 100
 """Most letters of a topic in the name of its file."""
 
@@ -83,7 +89,7 @@ def _timed(log: RobotLog, topic: str, *fields: str) -> NDArray[np.void]:
     """
     rows = log.topic(topic)
     for name in ("time", *fields):
-        if name not in (rows.dtype.names or ()) or rows.dtype[name].ndim != (name not in ("time", "lateness")):
+        if name not in (rows.dtype.names or ()) or rows.dtype[name].ndim != (name not in SCALARS):
             raise DataError(f"{topic} of the log has no {name}")
     return rows[np.isfinite(rows["time"])]
 
@@ -118,3 +124,42 @@ def write_rerun(log: RobotLog, path: Path | str) -> Path:
         recording.flush()
         recording.disconnect()
     return Path(path)
+
+
+def write_recording(log: RobotLog, path: Path | str) -> Path:
+    """The log as a recording that `simulate experiment=replay` and `identify` read: every new frame of the bodies.
+
+    Columns u are the lengths that the tendons were told to pull in, phi those that were measured, m.
+
+    Raises:
+        DataError: The log lacks measurements or tendons.
+    """
+    frames = _timed(log, "/measurement", "poses", "position_ok", "orientation_ok", "sequence", "tick")
+    tendons = _timed(log, "/tendons", "y", "sent", "tick")
+    _, first = np.unique(frames["sequence"], return_index=True)
+    frames = frames[first]
+    at = np.searchsorted(tendons["tick"], frames["tick"], side="right") - 1
+    frames, at = frames[at >= 0], at[at >= 0]
+    if not len(frames):
+        raise DataError("the log has no frame of the bodies while their tendons were read")
+    poses = torch.from_numpy(frames["poses"].reshape(len(frames), -1, 4, 4).copy())
+    ok = torch.from_numpy((frames["position_ok"] & frames["orientation_ok"]).astype(bool))
+    recording = Recording(
+        tuple(f"body{k + 1}" for k in range(poses.shape[1])),
+        torch.from_numpy(frames["time"].copy()),
+        poses[..., :3, 3],
+        _quaternion(poses[..., :3, :3]),
+        ok,
+        -torch.from_numpy(tendons["sent"][at].copy()),
+        -torch.from_numpy(tendons["y"][at].copy()),
+        source=str(path),
+    )
+    save_recording(recording, path)
+    return Path(path)
+
+
+def _quaternion(rotation: Tensor) -> Tensor:
+    """(..., 4) x, y, z, w of rotations (..., 3, 3)."""
+    turn = so3.log(rotation)
+    half = 0.5 * turn.norm(dim=-1, keepdim=True)
+    return torch.cat((0.5 * torch.sinc(half / torch.pi) * turn, half.cos()), dim=-1)

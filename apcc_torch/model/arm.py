@@ -94,6 +94,9 @@ class Arm(Settings):
     masses: Lengths | None = setting(
         None, "kg", OURS, "of each section; null: mass, spread by length", rows="sections", above=0
     )
+    payload: Setting | None = setting(
+        None, "kg", OURS, "largest load at the tip that it is made for; null: half its mass", rows="number", least=0
+    )
     axial_stiffness: Setting = setting(
         100.0, "N/m", PAPER, "of a section of the reference length", rows="number", above=0
     )

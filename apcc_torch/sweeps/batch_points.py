@@ -18,6 +18,7 @@ from hydra.errors import HydraException
 from omegaconf import DictConfig, ListConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
+from apcc_torch.composition.proportion import in_proportion
 from apcc_torch.composition.run_settings import SimulateSettings
 from apcc_torch.composition.schema import sentence, values_of
 from apcc_torch.composition.stacking import Point
@@ -140,7 +141,7 @@ class _Base:
             values = self.values
             for choice in choices:
                 values = _merged(values, choice.key.split("."), choice.value)
-        return read({**values, "batch": None}, SimulateSettings)
+        return read(in_proportion({**values, "batch": None}, SimulateSettings), SimulateSettings)
 
 
 def _merged(values: Any, path: Sequence[str], value: Any) -> Any:

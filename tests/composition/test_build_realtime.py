@@ -24,7 +24,7 @@ def test_the_set_point_is_the_papers_for_the_arm_and_for_the_simulation() -> Non
     build = builder("experiment=setpoint")
     trajectory = build.trajectory()
     assert isinstance(trajectory, SetPoint) and trajectory.x_d.tolist() == [0.0, 0.15, -0.5]
-    assert build.guards().arrival_error == 1e-3 and build.settings.experiment.duration == 20.0
+    assert build.guards().arrival_error == 1e-3 and build.settings.experiment.duration == 30.0
     simulated = composed("experiment=setpoint")
     assert simulated.experiment.setpoints == ([0.0, 0.15, -0.5],)
     assert simulated.controller.K == build.settings.controller.K == 1.5

@@ -14,11 +14,12 @@ from hypothesis import strategies as st
 
 from apcc_torch.errors import ConfigError, DataError
 from apcc_torch.hardware.log import RunLog
-from apcc_torch.hardware.log_export import columns, write_parquet, write_rerun
+from apcc_torch.hardware.log_export import columns, write_parquet, write_recording, write_rerun
 from apcc_torch.hardware.log_format import Field, Layout, layout_of, layouts
 from apcc_torch.hardware.log_reader import RobotLog, read_log
 from apcc_torch.hardware.records import Tick
 from apcc_torch.hardware.stops import StopReason
+from apcc_torch.recordings.recording import load_recording
 from fake_devices import Fault
 from fake_runs import FakeRun, fake_run
 
@@ -203,6 +204,25 @@ def test_parquet_has_every_topic_and_number(logged: tuple[FakeRun, Path], tmp_pa
         "xdot_d_2",
         "xdot_d_3",
     ]
+
+
+def test_a_recording_of_it_holds_every_new_frame(logged: tuple[FakeRun, Path], tmp_path: Path) -> None:
+    log = read_log(logged[1])
+    recording = load_recording(write_recording(log, tmp_path / "recording.csv"))
+    frames = log.topic("/measurement")
+    _, first = np.unique(frames["sequence"], return_index=True)
+    poses = frames["poses"][first].reshape(-1, 3, 4, 4)
+    seen = recording.tracked.numpy()
+    assert len(recording) == len(first) and seen.any() and not seen.all()
+    assert np.array_equal(recording.position.numpy()[seen], poses[..., :3, 3][seen])
+    assert np.allclose(recording.rotation.numpy()[seen], poses[..., :3, :3][seen], atol=1e-12)
+    tendons = {int(row["tick"]): row for row in log.topic("/tendons")}
+    ticks = [int(tick) for tick in frames["tick"][first]]
+    assert recording.inputs is not None and recording.actuators is not None
+    for k, tick in enumerate(ticks):
+        if tick in tendons:
+            assert np.array_equal(recording.inputs[k].numpy(), -tendons[tick]["sent"])
+            assert np.array_equal(recording.actuators[k].numpy(), -tendons[tick]["y"])
 
 
 def test_rerun_is_a_choice(logged: tuple[FakeRun, Path], tmp_path: Path) -> None:
