@@ -4,7 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from apcc_torch.evaluation import arm_methods, learning, residual_methods, sections_methods
+from apcc_torch.evaluation import (
+    arm_methods,
+    identified_posterior,
+    learning,
+    residual_methods,
+    sections_methods,
+)
 from apcc_torch.evaluation.method import Known, Method
 
 METHODS: dict[str, Callable[[Known], Method]] = {
@@ -27,5 +33,7 @@ METHODS: dict[str, Callable[[Known], Method]] = {
     "PCC, best lengths in hindsight": sections_methods.BestLengths,
     "most probable PCC": sections_methods.Posterior,
     "most probable affine": sections_methods.AffinePosterior,
+    "most probable, arm identified": identified_posterior.IdentifiedPosterior,
+    "most probable, rest learned": identified_posterior.LearnedPosterior,
 }
 """Name -> what makes the method of what is known."""
