@@ -40,6 +40,7 @@ def test_a_strangers_arm_from_the_command_line(tmp_path: Path) -> None:
     pytest.importorskip("sklearn")
     write_recordings(tmp_path)
     chosen = ["mean", "linear", "arm identified", "arm identified, payload followed", "most probable PCC"]
+    chosen += ["most probable, arm identified", "most probable, rest learned"]
     words = ",".join(f"'{name}'" for name in chosen)
     done = _evaluate(tmp_path, "data=data.yaml", f"methods=[{words}]", "hydra.run.dir=out")
     assert done.returncode == 0, done.stdout + done.stderr
@@ -57,6 +58,9 @@ def test_a_strangers_arm_from_the_command_line(tmp_path: Path) -> None:
     assert tip(FOLLOWED, "arm identified, payload followed", "loaded") < 0.5
     with_motors, alone = (tip(f"body 2{told}", "most probable PCC", body=1) for told in (" and motors", ""))
     assert with_motors < 0.2 * alone
+    for name in ("most probable, arm identified", "most probable, rest learned"):
+        # The payload that nobody told is found from the one body that is shown.
+        assert tip("body 2 and motors", name, "loaded", body=1) < 0.3 < tip(MOTORS, "arm identified", "loaded", body=1)
     for weighed in table["payload"]:
         assert weighed["low_g"] < weighed["true_g"] < weighed["high_g"]
     assert len(list((out / "figures").glob("*.png"))) == len(table["tasks"])
