@@ -42,6 +42,13 @@ def simulate(cwd: Path, *arguments: str, package: Path = ROOT, forked: bool = Tr
     )
 
 
+def example(name: str, *options: str) -> list[str]:
+    """The lines that `python examples/NAME --quick` prints."""
+    done = ran(str(ROOT / "examples" / name), ["--quick", *options], ROOT, environment())
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout.splitlines()
+
+
 def metrics(folder: Path) -> dict[str, float]:
     """Metrics of a run but the time it took, which alone may differ."""
     found: dict[str, float] = json.loads((folder / "metrics.json").read_text())

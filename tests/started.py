@@ -33,6 +33,8 @@ def ran(
 ) -> subprocess.CompletedProcess[str]:
     """`python -m module arguments`, started in the folder `cwd` with the environment `env`, and ended.
 
+    A module that is the path of a file is run as `python path arguments`.
+
     Raises:
         subprocess.TimeoutExpired: It was killed, as it went on for longer than `timeout` s.
     """
@@ -106,9 +108,14 @@ def _run(asked: Mapping[str, Any]) -> NoReturn:
         os.environ.clear()
         os.environ.update(asked["env"])
         os.chdir(asked["cwd"])
-        sys.path[0] = os.getcwd()
-        sys.argv = [asked["module"], *asked["arguments"]]
-        runpy.run_module(asked["module"], run_name="__main__", alter_sys=True)
+        named = asked["module"]
+        sys.argv = [named, *asked["arguments"]]
+        if named.endswith(".py"):
+            sys.path[0] = os.path.dirname(named)
+            runpy.run_path(named, run_name="__main__")
+        else:
+            sys.path[0] = os.getcwd()
+            runpy.run_module(named, run_name="__main__", alter_sys=True)
         code = 0
     except SystemExit as ended:
         code = ended.code if isinstance(ended.code, int) else int(ended.code is not None)

@@ -3,18 +3,8 @@
 from __future__ import annotations
 
 import re
-import subprocess
-import sys
-from pathlib import Path
 
-EXAMPLE = Path(__file__).parents[2] / "examples" / "contact_force.py"
-
-
-def lines(*options: str) -> list[str]:
-    command = [sys.executable, str(EXAMPLE), "--quick", *options]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    return done.stdout.splitlines()
+from commands import example
 
 
 def numbers(line: str) -> list[float]:
@@ -22,7 +12,7 @@ def numbers(line: str) -> list[float]:
 
 
 def test_quick() -> None:
-    payload, place, force, evidence = lines()
+    payload, place, force, evidence = example("contact_force.py")
     true, estimated, deviation = numbers(payload)
     assert abs(estimated - true) < 3.0 * deviation < 30.0
     true, estimated, low, high = numbers(place)
@@ -32,5 +22,5 @@ def test_quick() -> None:
 
 
 def test_what_the_noise_hides_is_not_located() -> None:
-    _, place, _, _ = lines("--force", "0.1")
+    _, place, _, _ = example("contact_force.py", "--force", "0.1")
     assert place.endswith("not located")

@@ -3,21 +3,10 @@
 from __future__ import annotations
 
 import re
-import subprocess
-import sys
-from pathlib import Path
 
 import pytest
 
-EXAMPLES = Path(__file__).parents[2] / "examples"
-
-
-def quick(name: str) -> list[str]:
-    """The lines that `python examples/NAME --quick` prints."""
-    command = [sys.executable, str(EXAMPLES / name), "--quick"]
-    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=300)
-    assert done.returncode == 0, done.stderr
-    return done.stdout.splitlines()
+from commands import example
 
 
 def numbers(line: str) -> list[float]:
@@ -25,7 +14,7 @@ def numbers(line: str) -> list[float]:
 
 
 def test_orientation_task() -> None:
-    _, position, direction, orientation = quick("orientation_task.py")
+    _, position, direction, orientation = example("orientation_task.py")
     # Millimetres, degrees, degrees, millimetres of rest length.
     assert numbers(position)[1] > 10.0
     assert numbers(direction)[1] < 5.0 and numbers(orientation)[2] < 5.0
@@ -33,13 +22,13 @@ def test_orientation_task() -> None:
 
 
 def test_around_obstacle() -> None:
-    blind, clear = quick("around_obstacle.py")
+    blind, clear = example("around_obstacle.py")
     assert numbers(blind)[0] < 0.0 < numbers(clear)[0]
     assert numbers(blind)[-1] < 1.0 and numbers(clear)[-1] < 1.0
 
 
 def test_gantry() -> None:
-    equal, costly = quick("gantry.py")
+    equal, costly = example("gantry.py")
     for line in (equal, costly):
         assert line.endswith("limits held")
         assert numbers(line)[0] < 5.0
@@ -49,6 +38,6 @@ def test_gantry() -> None:
 
 def test_tendon_limits() -> None:
     pytest.importorskip("daqp")
-    free, cut, program = (numbers(line) for line in quick("tendon_limits.py"))
+    free, cut, program = (numbers(line) for line in example("tendon_limits.py"))
     assert free[2] > 25.0 and cut[2] <= 25.0 and program[2] <= 25.0
     assert program[0] < 0.5 * cut[0]

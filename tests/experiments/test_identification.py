@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -19,13 +18,11 @@ from apcc_torch.model.arm import Arm
 from commands import environment
 from composed import composed_identify
 from identified_arms import FIT, FITTED, READ, parameters, write_recording
+from started import ran
 
 
 def _identify(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "apcc_torch.identify", *arguments]
-    return subprocess.run(
-        command, cwd=folder, env=environment(), capture_output=True, text=True, check=False, timeout=300
-    )
+    return ran("apcc_torch.identify", [*arguments], folder, environment())
 
 
 def test_a_recording_of_ones_own_from_the_command_line(tmp_path: Path) -> None:

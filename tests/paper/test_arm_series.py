@@ -116,7 +116,7 @@ def test_experiment_2_has_the_papers_gains() -> None:
 
 def test_experiment_2_measures_the_actuation_mismatch(tmp_path: Path) -> None:
     only = "series.only=[coupled_2_standard,corrected_2_standard]"
-    outcome, metrics = arm_run.run(settings("experiment=experiment_2", only, "experiment.duration=3.0"), tmp_path)
+    outcome, metrics = arm_run.run(settings("experiment=experiment_2", only, "experiment.duration=1.0"), tmp_path)
     assert outcome.reason is StopReason.COMPLETED, outcome.message
     assert metrics["runs"] == 2.0 and len(metrics) == 2 * 8 + 1
     names = {p.relative_to(tmp_path / "figures").as_posix() for p in (tmp_path / "figures").rglob("*.png")}
