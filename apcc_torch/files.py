@@ -85,31 +85,33 @@ def write_arrays(path: Path | str, arrays: Mapping[str, Tensor]) -> Path:
     return write_atomically(path, buffer.getvalue())
 
 
-def read_text(path: Path | str, most: int = MOST_TEXT) -> str:
+def read_text(path: Path | str, most: int = MOST_TEXT, name: str | None = None) -> str:
     """The text of a file.
 
     Args:
         path: A regular file, or a link to one.
         most: Bytes that it may have.
+        name: What it is called in messages; None: its name without its folder.
 
     Raises:
         DataError: It is no file, is too large, cannot be opened, or is not UTF-8.
     """
     path = Path(path)
+    name = name or path.name
     try:
         # A pipe or a device would be read for ever.
         if path.exists() and not path.is_file():
-            raise DataError(f"{path.name} cannot be read: it is no file")
+            raise DataError(f"{name} cannot be read: it is no file")
         with path.open("rb") as file:
             content = file.read(most + 1)
     except OSError as error:
-        raise DataError(f"{path.name} cannot be read: {error.strerror}") from error
+        raise DataError(f"{name} cannot be read: {error.strerror}") from error
     if len(content) > most:
-        raise DataError(f"{path.name} cannot be read: it has over {most / 2**20:g} MiB")
+        raise DataError(f"{name} cannot be read: it has over {most / 2**20:g} MiB")
     try:
         return content.decode("utf-8")
     except UnicodeDecodeError as error:
-        raise DataError(f"{path.name} cannot be read: it is not UTF-8 from byte {error.start} on") from error
+        raise DataError(f"{name} cannot be read: it is not UTF-8 from byte {error.start} on") from error
 
 
 def json_in(text: str, name: str) -> Any:

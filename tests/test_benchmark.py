@@ -17,6 +17,11 @@ from apcc_torch.benchmark import main
 from apcc_torch.paper.figures import NUMBERED
 
 ROOT = Path(__file__).resolve().parents[1]
+RUN_2 = (
+    "~grid.comparisons.B", "~grid.comparisons.C",
+    "~grid.comparisons.A.runs.run_1", "~grid.comparisons.A.runs.robot_2",
+)  # fmt: skip
+"""Nothing but run II."""
 
 
 @pytest.fixture(scope="module")
@@ -27,8 +32,7 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     env = os.environ | {"PYTHONPATH": os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])}
     command = [
         sys.executable, "-m", "apcc_torch.benchmark", "grid=small", "grid.duration=0.2", "hydra.run.dir=out",
-        "~grid.comparisons.B", "~grid.comparisons.C",
-        "~grid.comparisons.A.runs.run_1", "~grid.comparisons.A.runs.robot_2",
+        *RUN_2,
         f"experiments.common={quick}", 'experiments.adaptive=["adaptation=normalised"]',
     ]  # fmt: skip
     done = subprocess.run(command, cwd=folder, env=env, capture_output=True, text=True, check=False, timeout=300)
@@ -89,15 +93,6 @@ def test_help_teaches(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFix
         ("grid.setpoints=11", "grid.setpoints must be between 1 and 10, got 11"),
         ('experiments.common=["controller.gama=1"]', "controller.gama is no setting"),
         ('experiments.adaptive=["adaptation=none","adaptation.rate=1"]', "adaptation.rate is read by nothing"),
-        (
-            'experiments.common=["plant.refine=2","experiment.omega=2"]',
-            "experiment.omega is read by nothing: experiment.setpoints",
-        ),
-        (
-            'experiments.standard=["adaptation.rate=1"]',
-            "adaptation.rate is read by nothing: controller.adaptive is false",
-        ),
-        ('experiments.common=["jobs=3"]', "jobs is read by nothing: the benchmark runs its grids itself"),
         ("grid.comparisons.A.runs.run_1.standard=dynamic_run_7", "dynamic_run_7"),
         ("grid.comparisons.A.runs.run_1={standard: dynamic_run_1, adaptive: robot_2}", "same experiment.setpoints"),
     ],
@@ -105,8 +100,38 @@ def test_help_teaches(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFix
 def test_wrong_settings_end_in_one_sentence(
     argument: str, sentence: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
+    refused([argument], tmp_path, monkeypatch, caplog, sentence)
+
+
+@pytest.mark.parametrize(
+    ("argument", "sentence"),
+    [
+        (
+            'experiments.common=["plant.refine=2","experiment.omega=2"]',
+            "experiment.omega is read by nothing: experiment.setpoints",
+        ),
+        (
+            'experiments.standard=["adaptation=normalised"]',
+            "adaptation is read by nothing: controller.adaptive is false",
+        ),
+        ('experiments.common=["jobs=3"]', "jobs is read by nothing: the benchmark runs its grids itself"),
+    ],
+)
+def test_what_no_run_reads_is_refused(
+    argument: str, sentence: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    refused(["grid=small", *RUN_2, argument], tmp_path, monkeypatch, caplog, sentence)
+
+
+def refused(
+    words: list[str],
+    folder: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
+    sentence: str,
+) -> None:
     quiet = ("hydra/job_logging=none", "hydra/hydra_logging=none")  # the process's logging stays as it is
-    monkeypatch.setattr(sys, "argv", ["apcc-benchmark", argument, f"hydra.run.dir={tmp_path}", *quiet])
+    monkeypatch.setattr(sys, "argv", ["apcc-benchmark", *words, f"hydra.run.dir={folder}", *quiet])
     with pytest.raises(SystemExit) as stopped:
         main()
     assert stopped.value.code == 2

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import os
+import signal
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import pytest
@@ -60,3 +62,15 @@ def test_what_is_mistyped_is_refused_in_a_sentence(
     told = capsys.readouterr().err
     assert ended.value.code == 2 and said in told and len(told.splitlines()) == 1, told
     assert not list(tmp_path.iterdir()) and "HYDRA_FULL_ERROR" not in os.environ
+
+
+@pytest.mark.parametrize(
+    ("module", "work", "words"), [(report, "report", ["x"]), (robot_log, "read_log", ["info", "x"])]
+)
+def test_what_only_reads_is_stopped_in_a_word(
+    module: ModuleType, work: str, words: list[str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(module, work, lambda *_: signal.raise_signal(signal.SIGINT))
+    with pytest.raises(SystemExit) as ended:
+        module.main(words)
+    assert ended.value.code == 130 and capsys.readouterr() == ("", "stopped by Ctrl-C\n")

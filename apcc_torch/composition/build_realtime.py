@@ -67,7 +67,6 @@ class RealtimeBuilder:
         Raises:
             ConfigError: It is no experiment on the arm, or there is not exactly one set-point, nor a sine.
         """
-        check_choice("experiment.kind", self.settings.experiment.kind, EXPERIMENTS)
         if not self.settings.experiment.setpoints:
             return self.model.sine()
         points = self.model.setpoints()
@@ -77,13 +76,17 @@ class RealtimeBuilder:
 
     def control(self) -> Control:
         """The controller on its trajectory, or looking on while the tendons go their own way."""
-        pi_hat = self.model.first_estimate()
-        looks_on = check_choice("experiment.kind", self.settings.experiment.kind, EXPERIMENTS) == "tendons"
-        controller = self.model.controller(adaptive=False if looks_on else None)
+        pi_hat, way = self.model.first_estimate(), self.way()
+        controller = self.model.controller(adaptive=False if isinstance(way, Ramp) else None)
         step = compiled(controller, blank_step(controller, pi_hat), self.settings.compile)
-        if looks_on:
-            return RampControl(controller, pi_hat, self.ramp(), step)
-        return Control(controller, self.trajectory(), pi_hat, step)
+        if isinstance(way, Ramp):
+            return RampControl(controller, pi_hat, way, step)
+        return Control(controller, way, pi_hat, step)
+
+    def way(self) -> Ramp | Trajectory:
+        """Where the tendons go in an experiment of kind `tendons`, else where the end effector is to go."""
+        kind = check_choice("experiment.kind", self.settings.experiment.kind, EXPERIMENTS)
+        return self.ramp() if kind == "tendons" else self.trajectory()
 
     def ramp(self) -> Ramp:
         """Where the tendons go in an experiment of kind `tendons`."""

@@ -12,11 +12,13 @@ from apcc_torch.hardware.calibration_confirmation import ConfirmationSettings
 from apcc_torch.hardware.calibration_measurement import MeasurementSettings
 from apcc_torch.hardware.devices import HardwareSettings
 from apcc_torch.hardware.guards import GuardSettings
+from apcc_torch.hardware.limits import CommandLimits
 from apcc_torch.hardware.ramp import RampSettings
 from apcc_torch.hardware.setup import LoopSettings
 from apcc_torch.hardware.simulated.actuator import SimulatedActuatorSettings
 from apcc_torch.hardware.simulated.sensor import SimulatedSensorSettings
 from apcc_torch.native.compiled import MODES
+from apcc_torch.reading import keyed
 from apcc_torch.settings import OURS, PAPER, Settings, names, setting
 
 SIMULATED = (SimulatedActuatorSettings, SimulatedSensorSettings)
@@ -74,6 +76,12 @@ class RealtimeSettings(RunSettings):
     dry_run: bool = setting(False, meaning="everything but torque; the log says what would be sent")
     view: bool = setting(True, meaning="the live view, where there is a terminal")
     log: bool = setting(True, meaning="write log.mcap")
+
+    def check(self) -> None:
+        """Raises where the clamps of the commands are no ranges of the arm's tendons."""
+        super().check()
+        with keyed("guards.limits"):
+            CommandLimits(self.arm.n_tendons, self.guards.limits)
 
 
 def of_a_realtime_run(c: RealtimeSettings) -> Unread:

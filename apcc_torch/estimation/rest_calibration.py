@@ -122,7 +122,7 @@ class RestCalibration:
         Raises:
             DataError: The file is missing, damaged, or of another kind or version.
         """
-        return RestCalibration.of(json_in(read_text(path), str(path)), path)
+        return RestCalibration.of(json_in(read_text(path, name=str(path)), str(path)), path)
 
     @staticmethod
     def of(content: object, path: str | Path) -> RestCalibration:

@@ -61,6 +61,7 @@ def run(settings: RealtimeSettings, folder: Path) -> tuple[Outcome, dict[str, fl
         DataError: The log cannot be opened.
         HardwareError: The priority or memory that was asked for is refused.
     """
+    RealtimeBuilder(settings).way()  # what is refused is so before machine code is built, which takes its time
     calibration = load_calibration(settings)
     # The devices are what they are, whatever the model takes from the calibration.
     devices = RealtimeBuilder(settings).devices()

@@ -63,7 +63,7 @@ class ArmCalibration:
         Raises:
             DataError: It is missing, damaged, changed by hand, or of another kind or version.
         """
-        content = json_in(read_text(path), f"the calibration {path}")
+        content = json_in(read_text(path, name=f"the calibration {path}"), f"the calibration {path}")
         if not isinstance(content, dict) or content.get("kind") != KIND:
             raise DataError(f"{path} is not the calibration of an arm")
         if content.get("version") != VERSION:

@@ -240,10 +240,7 @@ class MountedArm(Part):
 
 
 def _text_of(path: Path) -> str:
-    try:
-        return read_text(path).removeprefix("\ufeff")
-    except DataError as error:
-        raise DataError(f"{path} cannot be read as a mount's URDF: {error}") from error
+    return read_text(path, name=f"the mount's URDF {path}").removeprefix("\ufeff")
 
 
 def _serial_chain(joints: list[RigidJoint]) -> pk.SerialChain:

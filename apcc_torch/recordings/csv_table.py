@@ -82,7 +82,7 @@ def read_table(path: Path, words: Sequence[str] = ()) -> CsvTable:
     rows: list[list[float]] = []
     texts: dict[str, list[str]] = {name: [] for name in words}
     try:
-        reader = csv.reader(io.StringIO(read_text(path, MOST_TABLE).removeprefix("\ufeff"), newline=""))
+        reader = csv.reader(io.StringIO(read_text(path, MOST_TABLE, str(path)).removeprefix("\ufeff"), newline=""))
         header = [name.strip() for name in next(reader, [])]
         for row in reader:
             if not row:

@@ -70,6 +70,7 @@ def test_endings_can_be_changed() -> None:
         ("hardware.actuator=dynamixel", "hardware.actuator.kind must name a class"),
         ("loop.rate=501", r"loop\.rate must be in \[20, 500\], got 501"),
         ("guards.limits.upper=[0,0]", "guards.limits.upper must have 9 entries"),
+        ("guards.limits.lower=5", "guards.limits.lower must be below upper"),
         ("guards.limits.rate=0", r"guards\.limits\.rate must be positive"),
         ("guards.endings.late=hold", r"guards\.endings must be one of arrived, .*, got 'late'"),
         ("guards.sensing.stale=0", r"guards\.sensing\.stale must be positive"),
