@@ -366,6 +366,7 @@ USES: dict[tuple[type, Callable[..., Tensor]], dict[str, tuple[float, ...]]] = {
     (RodPlant, sheared): {
         "radius": (0.01, 0.02, 0.04),
         "poisson": (0.0, 0.3, 0.5),
+        "spacing": (0.01, 0.02, 0.04),
     },
     (ArmEvents, happened): {
         "taken": (-0.15, 0.0, 0.5),

@@ -20,8 +20,8 @@ from apcc_torch.settings import OURS, Setting, aligned, resolved, setting
 class ShapeLawSettings(ShapeFeedbackSettings):
     """Settings of `ShapeLaw`, and of the `ShapeFeedback` that it works beside."""
 
-    time_constant: Setting = setting(
-        0.3, "s", OURS, "in which the rest lengths take the elongations over", rows="number", above=0
+    time_constant: Setting | None = setting(
+        0.3, "s", OURS, "in which the rest lengths take the elongations over; null: never", rows="number", above=0
     )
 
 
@@ -30,7 +30,8 @@ class ShapeLaw(LengthLaw):
 
     There the lengths l = pi + dL of the model's sections are those with which arcs follow the arm's shape best, drawn
     to the nominal ones as far as shape does not tell them. The law leaves l and the shape as they are. It moves what is
-    elongation into the rest length, so Psi falls to nothing.
+    elongation into the rest length, so Psi falls to nothing. Without a time constant the estimator works alone, and
+    pi_hat stays what it is.
 
     Args:
         nominal: (..., n_b) first estimates, m; not used.
@@ -47,7 +48,7 @@ class ShapeLaw(LengthLaw):
     """
 
     settings_type = ShapeLawSettings
-    time_constant: Setting
+    time_constant: Setting | None
     needs_velocity = False
 
     def __init__(self, nominal: Tensor, feedback: StateFeedback, *settings: Any, **changes: Any) -> None:
@@ -60,6 +61,8 @@ class ShapeLaw(LengthLaw):
 
     def speed(self, step: LawStep, memory: Memory) -> tuple[Tensor, Memory]:
         """See `LengthLaw.speed`."""
+        if self.time_constant is None:
+            return torch.zeros_like(step.pi_hat), memory
         dL, dt = step.q_bar[..., step.backbone.coordinates.elongations], step.dt.unsqueeze(-1)
         # In a period longer than tau no more than all of it.
         tau = aligned(self.time_constant, 1)

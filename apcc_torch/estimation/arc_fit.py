@@ -19,6 +19,8 @@ DAMPING = 1e-3
 """Of a step, over the diagonal of its normal matrix."""
 LARGEST_STEP = 0.3
 """Largest change of a coordinate in one step, rad and m."""
+NEAR = 0.02
+"""Over the arm's length, how far off a point may be for a step to see the backbone turn; much farther it misleads."""
 SHORTEST = 0.05
 """Of its nominal length, the least that an arc keeps."""
 
@@ -42,7 +44,9 @@ class ArcFit(Part):
 
     across_j the N points' distances from the model across its backbone, and at the tip the whole distance. A point
     belongs to the model's point that lies as far along it, so how the curve is stretched does not matter. l alone
-    counts: how much of it is rest length and how much elongation, shape does not tell.
+    counts: how much of it is rest length and how much elongation, shape does not tell. What is off along the backbone
+    does not count, but becomes across where the backbone turns: a step that leaves this out does not lead down V, and
+    has fits from which it runs away.
 
     Args:
         backbone: The model.
@@ -94,8 +98,14 @@ class ArcFit(Part):
         one = torch.ones_like(points[..., :1])
         along = torch.cat((torch.zeros_like(one[..., 1:, :]), one[..., :1, :]), dim=-2)
         across = torch.cat((one, one, along), dim=-1) / (aligned(self.curve_noise, 2) * N**0.5)
-        r = ((chain.rotation.mT @ (points - chain.tip).unsqueeze(-1)).squeeze(-1) * across).flatten(-2)
-        J = (chain.body_jacobian()[..., 3:, :] * across.unsqueeze(-1)).flatten(-3, -2)
+        off = chain.rotation.mT @ (points - chain.tip).unsqueeze(-1)
+        turning, moving = chain.body_jacobian().split(3, dim=-2)
+        r = (off.squeeze(-1) * across).flatten(-2)
+        # d(R^T (p_j - p)) = -(moving - off x turning) dq
+        near = NEAR * nominal.sum(-1)[..., None, None, None]
+        seen = off * near / torch.sqrt(near**2 + off.square().sum(-2, keepdim=True))
+        closing = moving - torch.linalg.cross(seen.expand_as(turning), turning, dim=-2)
+        J = (closing * across.unsqueeze(-1)).flatten(-3, -2)
         scale = (aligned(self.length_prior, 1) * nominal).reciprocal().square().expand_as(pi_hat)
         away = (nominal - pi_hat - q[..., places]) * scale
         H = J.mT @ J + torch.diag_embed(backbone.coordinates.on_elongations(scale))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 import torch
 
@@ -19,7 +21,7 @@ D = torch.float64
 ARM = Arm(lengths=[0.105, 0.255, 0.24])
 
 
-def held(arm: Arm, payload: float, steps: int, first: float = 1.0):  # type: ignore[no-untyped-def]
+def held(arm: Arm, payload: float, steps: int, first: float = 1.0, **changes: Any):  # type: ignore[no-untyped-def]
     """An arm at rest under tendons and a payload, watched for some steps: the controller, its state, and the truth."""
     pulls = torch.zeros(arm.n_tendons, dtype=D)
     pulls[[0, 4, 8]] = 6.0
@@ -28,7 +30,7 @@ def held(arm: Arm, payload: float, steps: int, first: float = 1.0):  # type: ign
     fine = PCCBackbone(lengths.shape[-1], arm.base_rotation())
     T = fine.pose(q, lengths, *decouple(arm.sensor_places(), lengths))
     y = q @ arm.routing().matrix(lengths)
-    controller = APCCController.for_arm(arm)
+    controller = APCCController.for_arm(arm, **changes)
     state = controller.initial_state(torch.zeros(9, dtype=D), first * arm.rest_lengths())
     target = Target(T[-1, :3, 3], torch.zeros(3, dtype=D))
     for k in range(steps):
@@ -46,6 +48,25 @@ def test_psi_falls_to_nothing_and_the_shape_is_followed_from_any_start(first: fl
     assert off.mean() < 3e-3
     assert state.shape is not None
     assert abs(float(state.shape.shape.load) - 0.4) < 0.05
+
+
+def test_without_a_time_constant_its_estimator_works_alone() -> None:
+    law, alone = (held(ARM, 0.4, 100, **changes)[1] for changes in ({}, {"time_constant": None}))
+    assert torch.equal(alone.pi_hat, ARM.rest_lengths())
+    assert (law.pi_hat - ARM.rest_lengths()).abs().max() > 1e-2
+    for ours, want in zip(alone.shape.shape, law.shape.shape, strict=True):
+        torch.testing.assert_close(ours, want, rtol=0, atol=1e-9)
+    torch.testing.assert_close(alone.shape.lengths, law.shape.lengths, rtol=0, atol=1e-6)
+    assert alone.q_bar[2::3].norm() > 10.0 * law.q_bar[2::3].norm(), "what the law makes rest length is elongation here"
+
+
+def test_a_row_of_a_batch_is_the_run_alone() -> None:
+    words = ["experiment=dynamic_run_2_tuned", "experiment.setpoints=[[0.325,0.15,-0.275]]", "controller.rate=25"]
+    words += ["experiment.duration=0.4", "plant.settle=0.2", "plant.substeps=4", "progress=false"]
+    both, alone = (simulate(compose(*words, f"experiment.payloads={p}").settings).log for p in ("[0,0.5]", "[0.5]"))
+    for name in ("x", "q_true", "q_bar", "q_d", "pi_hat", "y", "y_d"):
+        row, want = getattr(both, name)[:, 1], getattr(alone, name)[:, 0]
+        torch.testing.assert_close(row, want, rtol=0, atol=1e-9, msg=lambda m, name=name: f"{name}: {m}")
 
 
 def test_the_tendons_are_told_what_the_arm_s_own_sections_do() -> None:

@@ -94,3 +94,26 @@ def test_no_arc_loses_its_length_and_a_row_that_is_not_finite_stays() -> None:
     found = fitted(fit, points, L0)
     assert bool((L0 + found[0, 2::3] >= 0.05 * L0 - 1e-12).all())
     assert torch.equal(found[1], torch.zeros(9, dtype=D))
+
+
+def test_it_does_not_amplify_rounding_on_a_far_arm_s_way() -> None:
+    """The true arm of section V-B under 0.5 kg, on its last two seconds to the paper's set-point."""
+    pieces = L0.repeat_interleave(2) / 2.0
+    bends = [[0.1473, 0.2184, -0.0146, 0.9784, 0.135, 1.3792], [0.1477, 0.2227, -0.0149, 1.0128, 0.1572, 1.3981]]
+    long = [[0.0011, -0.0055, 0.0283, -0.032, 0.0256, -0.0248], [0.0032, -0.0035, 0.0314, -0.0309, 0.0253, -0.0241]]
+    fine, model = PCCBackbone(6, HANGING_BASE), MODELS["pcc"]
+    ways = (torch.tensor(each, dtype=D) for each in (bends, long))
+    x, dL = (torch.lerp(each[0], each[1], torch.linspace(0, 1, 200, dtype=D).unsqueeze(-1)) for each in ways)
+    q = torch.stack((x, torch.zeros_like(x), dL), dim=-1).flatten(-2)
+    lengths = pieces + dL
+    along = lengths.cumsum(-1).unsqueeze(-1) - lengths.unsqueeze(-1) * torch.tensor([0.5, 0.0], dtype=D)
+    share = along.flatten(-2) / lengths.sum(-1, keepdim=True)
+    X_tilde, j = torch.tensor([0.5, 1.0], dtype=D).repeat(6), torch.arange(6).repeat_interleave(2)
+    points = fine.pose(q, pieces, X_tilde, j)[..., :3, 3]
+    found = torch.tensor([0.4661, 0.0, 0.0, 1.4148, 0.0, 0.0, 1.0051, 0.0, 0.0], dtype=D)
+    pi_hat = torch.tensor([0.2169, 0.3172, 0.0565], dtype=D)
+    fit, draw = ArcFit(model, L0), torch.Generator().manual_seed(0)
+    found = torch.stack((found, found + 1e-12 * torch.randn(9, generator=draw, dtype=D)))
+    for target, at in zip(points, share, strict=True):
+        found = fit(found, pi_hat.expand(2, 3), target.expand(2, N, 3), at.expand(2, N))
+        assert (found[0] - found[1]).abs().max() < 1e-11

@@ -193,7 +193,7 @@ def test_comparison_c_differs_in_its_laws_alone() -> None:
     assert list(runs) == list(TITLES)
     for rows in runs.values():
         assert list(rows) == [
-            "standard", "eq15_printed", "eq15_printed_tuned", "eq15_total", "best_constant", "adaptive"
+            "standard", "eq15_printed", "eq15_printed_tuned", "eq15_total", "best_constant", "estimator", "adaptive"
         ]  # fmt: skip
         assert [name for name, row in rows.items() if not row.config.controller.adaptive] == [
             "standard", "best_constant"

@@ -17,80 +17,17 @@ from apcc_torch.model.arm import Arm
 from apcc_torch.model.statics import equilibrium
 from apcc_torch.native.compiled import compiled
 from apcc_torch.simulation.events import ArmEvents
-from apcc_torch.simulation.plant import Plant, PlantSettings, PlantState, PlantStep
+from apcc_torch.simulation.plant import Plant, PlantSettings, PlantStep
 from apcc_torch.simulation.rod_plant import RodPlant
 from arm_rows import row_parameters
+from true_arms import ARM, D, numbers, plant, run, tip
 
-D = torch.float64
-ARM = Arm(lengths=[0.2, 0.25], mass=0.4)
 ALL = {
     "backlash": 2e-3,
     "places": {"tendons": 3e-3},
     "events": {"taken": 0.1, "taken_at": 0.02, "growth": [0.1, -0.05], "growth_over": 0.04},
 }
 """All that can be told of a plant, within its first 0.05 s."""
-
-
-def numbers(*values: float) -> Tensor:
-    return torch.tensor(values, dtype=D)
-
-
-def plant(payload: Tensor, kind: type[Plant] = Plant, arm: Arm = ARM, **changes: Any) -> Plant:
-    settings = {"refine": 1, "tendon_damping": 20.0, **changes}
-    for name in ("events", "places"):
-        if name in settings:
-            settings[name] = getattr(PlantSettings(), name).changed(**settings[name])
-    return kind.on(arm, payload, kind.settings_type(**settings))
-
-
-def run(arm: Plant, y_d: Tensor, steps: int, dt: float, now: PlantState | None = None) -> PlantState:
-    """The arm after steps on a straight line from zero to y_d, at which its references then stay."""
-    now = arm.straight(arm.payload.shape) if now is None else now
-    for k in range(1, steps + 1):
-        now = arm.advance(now, ramp(torch.zeros_like(y_d), y_d, k / steps, steps * dt), dt, k)
-    return now
-
-
-def tip(arm: Plant, now: PlantState) -> Tensor:
-    return arm.backbone.tip(now.arm.q, arm.dynamics.lengths)
-
-
-def test_rod_rests_where_statics_says() -> None:
-    arm = plant(numbers(0.0, 0.3), RodPlant, pid=PlantSettings().pid.changed(K_I=0.0))
-    y = 0.02 * torch.sin(torch.arange(6, dtype=D)).expand(2, 6)
-    want = equilibrium(
-        arm.dynamics, routing=arm.routing, tendon_lengths=y, compliance=1.0 / arm.pid.K_P, payload=arm.payload
-    )
-    held, now = TendonReference(y, torch.zeros_like(y)), arm.straight((2,))
-    now = now._replace(arm=now.arm._replace(q=want.q))
-    torch.testing.assert_close(arm.forces(now, held), want.u)
-    for k in range(5):
-        now = arm.advance(now, held, 0.02, k)
-    torch.testing.assert_close(now.arm.q, want.q, rtol=0, atol=1e-8)
-    twist, shear = want.q[1, 2::6].abs().max(), want.q[1, [3, 4, 9, 10]].abs().max()
-    assert float(twist) > 1e-4 and float(shear) > 1e-4, "it twists and shears, or this says nothing of either"
-
-
-def test_torsion_and_shear_are_those_of_a_round_section() -> None:
-    arm = plant(numbers(0.0), RodPlant, radius=0.02, poisson=0.25)
-    springs = {name: getattr(arm.dynamics, name) for name in set(arm.dynamics.springs)}
-    # E I = E pi r^4 / 4, G = E / (2 (1 + nu)), J = 2 I, A = pi r^2.
-    EI = ARM.section_stiffness()[1] * ARM.rest_lengths()
-    E = EI / (torch.pi * 0.02**4 / 4.0)
-    G = E / 2.5
-    torch.testing.assert_close(springs["torsional_stiffness"], G * torch.pi * 0.02**4 / 2.0 / ARM.rest_lengths())
-    torch.testing.assert_close(springs["shear_stiffness"], G * torch.pi * 0.02**2 / ARM.rest_lengths())
-
-
-def test_rod_is_the_plant_of_the_experiment_that_names_it() -> None:
-    composed = compose("experiment=dynamic_run_2", "plant=rod", "plant.radius=0.02", "plant.refine=1")
-    made = composed.plant()
-    assert type(made) is RodPlant and made.radius == 0.02 and made.backbone.n == 18
-    # Its tendons are those of the other plant, and feel bends and elongations alone.
-    other = compose("experiment=dynamic_run_2", "plant.refine=1").plant()
-    felt = made.B.unflatten(0, (3, 6))
-    torch.testing.assert_close(felt[:, [0, 1, 5]].flatten(0, 1), other.B)
-    assert not bool(felt[:, 2:5].any())
 
 
 def test_a_load_is_there_from_its_time_on() -> None:
