@@ -163,17 +163,9 @@ class LoadedShape(Part):
             dt: (...) s since the last step.
         """
         sag = self._renewed(state, dt)
-        state = state._replace(sag=sag)
-        r, J = self._residual(state, T, usable, oriented, y)
-        prior = (aligned(self.load, 0) * self._mass(r)).square()
-        walked = (state.variance + (aligned(self.load_rate, 0) / aligned(self.load, 0)) ** 2 * dt).clamp(max=1.0)
-        strain = self.strain(state)
-        deviation = self._deviation(strain)
-        weight = torch.cat((deviation.square().reciprocal(), (walked * prior).reciprocal().unsqueeze(-1)), dim=-1)
-        pull = torch.cat((strain / deviation.square(), torch.zeros_like(walked).unsqueeze(-1)), dim=-1)
-        H = J.mT @ J + torch.diag_embed(weight)
-        last = torch.cat((torch.zeros_like(strain), torch.ones_like(state.load).unsqueeze(-1)), dim=-1)
-        solved = solve_spd(H, torch.stack(((J.mT @ r.unsqueeze(-1)).squeeze(-1) - pull, last), dim=-1))
+        H, slope, prior = self._weighed(state._replace(sag=sag), T, usable, oriented, y, dt)
+        last = torch.cat((torch.zeros_like(slope[..., :-1]), torch.ones_like(slope[..., -1:])), dim=-1)
+        solved = solve_spd(H, torch.stack((slope, last), dim=-1))
         step = solved[..., 0]
         step = scaled_within(step, LARGEST_STEP, of=step[..., :-1])
         moved = ShapeState(
@@ -189,6 +181,48 @@ class LoadedShape(Part):
                 for new, old in zip(moved, state, strict=True)
             )
         )
+
+    def covariance(
+        self, state: ShapeState, T: Tensor, usable: Tensor, oriented: Tensor, y: Tensor | None, dt: Tensor
+    ) -> Tensor:
+        """Covariance (..., n + 1, n + 1) of the strains and the load that a step with these arguments finds.
+
+        It is that of the measurements' noise and the priors as they are set: rad, m and kg.
+        """
+        H = self._weighed(state._replace(sag=self._renewed(state, dt)), T, usable, oriented, y, dt)[0]
+        return solve_spd(H, torch.eye(H.shape[-1], dtype=H.dtype, device=H.device).expand_as(H))
+
+    def point_covariance(self, state: ShapeState, covariance: Tensor, X: Tensor) -> Tensor:
+        """Covariance (..., k, 3, 3) of points of the arm, m^2, in the base's axes.
+
+        Args:
+            state: From a step.
+            covariance: (..., n + 1, n + 1) of its strains and load.
+            X: (..., k) abscissae of the points on the arm at rest, m.
+        """
+        q = self.configuration(state)
+        pieces = self.pieces(q)
+        points = self.backbone.material_points(pieces, *located(X.to(q).expand(*q.shape[:-1], X.shape[-1]), pieces))
+        chain = self.backbone.chain_to(q, points)
+        move = chain.rotation @ self._moved(chain.body_jacobian(), state)[..., 3:, :]
+        return move @ covariance.unsqueeze(-3) @ move.mT
+
+    def _weighed(
+        self, state: ShapeState, T: Tensor, usable: Tensor, oriented: Tensor, y: Tensor | None, dt: Tensor
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        """Information (..., n + 1, n + 1) on strains and load, it times their change, and the load's first variance."""
+        r, J = self._residual(state, T, usable, oriented, y)
+        prior = (aligned(self.load, 0) * self._mass(r)).square()
+        walked = (state.variance + (aligned(self.load_rate, 0) / aligned(self.load, 0)) ** 2 * dt).clamp(max=1.0)
+        strain = self.strain(state)
+        deviation = self._deviation(strain)
+        weight = torch.cat((deviation.square().reciprocal(), (walked * prior).reciprocal().unsqueeze(-1)), dim=-1)
+        pull = torch.cat((strain / deviation.square(), torch.zeros_like(walked).unsqueeze(-1)), dim=-1)
+        return J.mT @ J + torch.diag_embed(weight), (J.mT @ r.unsqueeze(-1)).squeeze(-1) - pull, prior
+
+    def _moved(self, body: Tensor, state: ShapeState) -> Tensor:
+        """A body Jacobian (..., k, 6, n_f) by the strains and the load (..., k, 6, n + 1)."""
+        return torch.cat((self._gathered(body), body @ state.sag[..., None, 1, :, None]), dim=-1)
 
     def _spread(self, strain: Tensor) -> Tensor:
         """S c: each piece takes an equal part of its section's strain (..., n_f)."""
@@ -240,8 +274,7 @@ class LoadedShape(Part):
         offset = torch.where(usable.unsqueeze(-1), T[..., :3, 3] - chain.tip, 0.0)
         turn = into_body @ torch.where(oriented[..., None, None], T[..., :3, :3], chain.rotation)
         linear, angular = (into_body @ offset.unsqueeze(-1)).squeeze(-1), so3.log(turn)
-        body = chain.body_jacobian()
-        body = torch.cat((self._gathered(body), body @ state.sag[..., None, 1, :, None]), dim=-1)
+        body = self._moved(chain.body_jacobian(), state)
         weights = torch.broadcast_tensors(
             oriented.to(q) / aligned(self.angular_noise, 1), usable.to(q) / aligned(self.position_noise, 1)
         )
