@@ -31,8 +31,9 @@ from apcc_torch.hardware.stops import StopReason
 
 ConfigStore.instance().store(name="realtime_schema", node=schema(RealtimeSettings))
 
-SETTLING = 0.2
-"""Share of the run before its memory's slope is taken: buffers fill up to their size in it."""
+SETTLED = (0.4, 0.95)
+"""Shares of the run between which its memory's slope is taken: before them buffers fill up to their size, and behind
+them the run is made into numbers."""
 
 
 def settings(rate: float, seconds: float, more: list[str]) -> RealtimeSettings:
@@ -95,7 +96,8 @@ def measure(config: RealtimeSettings, folder: Path) -> dict[str, float | str]:
     found: dict[str, float | str] = {"reason": outcome.reason.value, "message": outcome.message} | metrics
     running = np.array([(at, kilobytes) for at, kilobytes in memory.samples if ended - outcome.duration < at < ended])
     if len(running) > 1:
-        later = running[running[:, 0] >= running[0, 0] + SETTLING * outcome.duration]
+        share = (running[:, 0] - running[0, 0]) / outcome.duration
+        later = running[(share >= SETTLED[0]) & (share <= SETTLED[1])]
         found |= {"memory_begin_kB": running[0, 1], "memory_end_kB": running[-1, 1]}
         found |= {"memory_slope_kB_s": float(np.polyfit(*later.T, 1)[0]) if len(later) > 1 else np.nan}
     log = read_log(folder / "log.mcap")
