@@ -43,6 +43,7 @@ UNCHECKED_COMMANDS: dict[str, str] = {
     "identify arm=mine.yaml data=mine.csv recording.inputs=[a,b,c,d,e,f] recording.bodies=[[x1,y1,z1],[x2,y2,z2]]": (
         "the file is the reader's"
     ),
+    "evaluate data=mine.yaml": "the file is the reader's; tests/evaluation has such a one",
     "identify arm=runs/identify/FOLDER/arm.yaml identification=ftdcr_v6 data=train.csv": "the run is the reader's",
 }
 """Command -> why it is not checked."""

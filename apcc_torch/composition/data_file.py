@@ -1,4 +1,4 @@
-"""`data=` on a command line that evaluates: a name in conf/data, a data set's file, or a recording itself."""
+"""`data=` on a command line that evaluates: a name in conf/data_set, a data set's file, or a recording itself."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from apcc_torch.composition.arm_file import SUFFIXES, spelled
 from apcc_torch.composition.identify import known_arm
 from apcc_torch.errors import ConfigError, DataError
 from apcc_torch.files import yaml_in
-from apcc_torch.recordings.data_set import holding, named_set, refuse, set_names
+from apcc_torch.recordings.data_set import holding, named_set, refuse, set_file, set_names
 
 FILE = "data.yaml"
 """Name of a data set's file in a folder that is given for it."""
@@ -19,15 +19,18 @@ FILE = "data.yaml"
 def data_override(arguments: Sequence[str]) -> list[str]:
     """Arguments as Hydra takes them, with the arm of the recordings where they name none.
 
-    A data set's file holds what the files of conf/data do; files and the arm's are found beside it. Of a recording,
-    the set is the one of conf/data whose files it has, else it is a set of one recording.
+    A data set's file holds what the files of conf/data_set do; files and the arm's are found beside it. Of a recording,
+    the set is the one of conf/data_set whose files it has, else it is a set of one recording.
 
     Raises:
-        ConfigError: The arm is not known.
+        ConfigError: No data is named, or the arm is not known.
         DataError: There is no such file, or it cannot be read.
     """
     given = next((word.removeprefix("data=") for word in arguments if word.startswith("data=")), None)
     if given is None:
+        if not any(argument.startswith("-") for argument in arguments):
+            names = ", ".join(set_names())
+            raise ConfigError(f"data must name a data set ({names}), the file of one, or a recording: data=NAME")
         return list(arguments)
     rest = [word for word in arguments if not word.startswith("data=")]
     words, arm = _words(given)
@@ -41,7 +44,7 @@ def data_override(arguments: Sequence[str]) -> list[str]:
 def _words(given: str) -> tuple[list[str], str]:
     """What stands for `data=given`, and the arm that it names."""
     if given in set_names():
-        return [f"data={given}"], named_set(given).arm
+        return _of_file(set_file(given), named=True)
     path = Path(given)
     file = path / FILE if path.is_dir() else path
     if file.suffix in SUFFIXES and (file.is_file() or not path.is_dir()):
@@ -51,27 +54,28 @@ def _words(given: str) -> tuple[list[str], str]:
     folder = path if path.is_dir() else path.parent
     known = holding(folder, {name: named_set(name) for name in set_names()})
     if known is not None and path.is_dir():
-        return [f"data={known}", f"data.folder={spelled(str(path.resolve()))}"], named_set(known).arm
+        words, arm = _of_file(set_file(known), named=True)
+        return [*words, f"data.folder={spelled(str(path.resolve()))}"], arm
     alone = {"name": path.stem, "folder": str(folder.resolve()), "sessions": {"recording": {"file": ""}}}
     if not path.is_dir():
         alone["sessions"] = {"recording": {"file": path.name}}
-    return ["~data", f"data={spelled(alone)}"], known_arm(given) or ""
+    return [f"data={spelled(alone)}"], known_arm(given) or ""
 
 
-def _of_file(file: Path) -> tuple[list[str], str]:
+def _of_file(file: Path, named: bool = False) -> tuple[list[str], str]:
     try:
         values = yaml_in(file.read_text(encoding="utf-8"), str(file))
     except OSError as error:
         raise DataError(f"{file}: cannot be read ({error.strerror})") from error
     if not isinstance(values, dict) or not isinstance(values.get("data"), dict):
-        raise DataError(f"{file}: must hold the group data, as the files of conf/data do")
+        raise DataError(f"{file}: must hold the group data, as the files of conf/data_set do")
     data: dict[str, Any] = {"name": file.stem if file.name != FILE else file.resolve().parent.name} | values.pop("data")
-    if data.get("source") is None:
+    if not named and data.get("source") is None:
         data.setdefault("folder", ".")
     if data.get("folder") is not None:
         data["folder"] = str((file.resolve().parent / str(data["folder"])).resolve())
     arm = str(data.get("arm", ""))
     if arm.endswith(SUFFIXES):
         arm = str(file.resolve().parent / arm)
-    words = ["~data", f"data={spelled(data)}"]
+    words = [f"data={spelled(data)}"]
     return [*words, *(f"{key}={spelled(value)}" for key, value in values.items())], arm

@@ -71,7 +71,7 @@ class LearningSettings(FolderSettings):
     split: SplitSettings = setting(factory=SplitSettings, meaning="what is held back")
     fit: ArmFitSettings = setting(factory=ArmFitSettings, meaning="how the arm is fitted")
     data_root: str | None = setting(
-        None, "", OURS, "folder that holds the data sets of conf/data; null: APCC_DATA, else they are fetched"
+        None, "", OURS, "folder that holds the data sets of conf/data_set; null: APCC_DATA, else they are fetched"
     )
     figures: bool = setting(True, "", OURS, "whether figures are drawn")
     progress: bool = setting(True, "", OURS, "whether rounds are told as they end")
@@ -82,7 +82,7 @@ class LearningSettings(FolderSettings):
 class IdentifySettings(LearningSettings):
     """Root of `python -m apcc_torch.identify`."""
 
-    data: str | None = setting(None, "", OURS, "file or folder of the recording, or a data set of conf/data")
+    data: str | None = setting(None, "", OURS, "file or folder of the recording, or a data set of conf/data_set")
     online: ArmOnlineSettings = setting(factory=ArmOnlineSettings, meaning="how the geometry is adapted online")
 
 

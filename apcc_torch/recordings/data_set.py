@@ -17,6 +17,8 @@ from apcc_torch.files import yaml_in
 from apcc_torch.reading import read
 from apcc_torch.settings import OURS, Settings, close, did_you_mean, setting
 
+FOLDER = "data_set"
+"""Of conf/, in which the sets are declared. Were it called data, Hydra would take data=FILE for a choice of them."""
 ROOT = "APCC_DATA"
 """The environment's name for a folder of data sets."""
 CACHE = "APCC_CACHE"
@@ -78,19 +80,24 @@ class DataSettings(Settings):
 
 
 def set_names() -> list[str]:
-    """The data sets that conf/data declares."""
-    return sorted(path.stem for path in Path(conf_path(), "data").glob("*.yaml"))
+    """The data sets that conf/data_set declares."""
+    return sorted(path.stem for path in Path(conf_path(), FOLDER).glob("*.yaml"))
+
+
+def set_file(name: str) -> Path:
+    """The file that declares a set."""
+    return Path(conf_path(), FOLDER, f"{name}.yaml")
 
 
 def named_set(name: str) -> DataSettings:
-    """A data set of conf/data.
+    """A data set of conf/data_set.
 
     Raises:
         ConfigError: There is none of that name.
     """
     if name not in set_names():
         raise ConfigError(f"data has no choice {name!r}{did_you_mean(name, set_names())}")
-    file = Path(conf_path(), "data", f"{name}.yaml")
+    file = set_file(name)
     return read(yaml_in(file.read_text(encoding="utf-8"), file.name)["data"], DataSettings, "data")
 
 

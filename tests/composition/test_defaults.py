@@ -34,7 +34,7 @@ from apcc_torch.settings import Settings, about_of, default_of, keys
 from composed import composed, composed_realtime
 
 CONF = Path(conf_path())
-ROOTS = {"grid": BenchmarkSettings, "data": EvaluateSettings, "identification": IdentifySettings}
+ROOTS = {"grid": BenchmarkSettings, "data_set": EvaluateSettings, "identification": IdentifySettings}
 ON_AN_ARM = ("guards", "hardware", "calibration", "experiment_1", "experiment_2")
 
 ALLOWED = {
@@ -110,7 +110,7 @@ def file_values(path: Path) -> tuple[dict[str, Any], type[Settings]]:
                 values[other] = {"kind": kind, **values[other]}
     group = path.parent.name
     root = ROOTS.get(group, RealtimeSettings if {group, path.stem} & set(ON_AN_ARM) else SimulateSettings)
-    if "@package _global_" in text:
+    if "@package _global_" in text or group == "data_set":
         return values, root
     kind = kind_in(path.parent, path.stem)
     if kind is not None and "kind" not in values:

@@ -122,9 +122,16 @@ def test_declared_sets_are_those_that_are_there(shared_data: Path) -> None:
 
 
 def test_data_of_a_command_line(tmp_path: Path) -> None:
-    assert data_override(["every=3"]) == ["every=3"]
-    assert data_override(["data=trunk_payload", "every=3"]) == ["data=trunk_payload", "arm=trunk", "every=3"]
-    assert data_override(["data=ftdcr", "arm=trunk"]) == ["data=ftdcr", "arm=trunk"]
+    assert data_override(["--help"]) == ["--help"]
+    with pytest.raises(ConfigError, match=r"data must name a data set \(ftdcr, sorosim, trunk, trunk_payload\)"):
+        data_override(["every=3"])
+    words = data_override(["data=trunk_payload", "every=3"])
+    assert words[0].startswith("data={name:'trunk_payload'") and words[1:] == [
+        "split={folds:2,fold:1}",
+        "arm=trunk",
+        "every=3",
+    ]
+    assert data_override(["data=ftdcr", "arm=trunk"])[1:] == ["arm=trunk"]
     with pytest.raises(ConfigError, match="did you mean ftdcr"):
         data_override(["data=ftdc"])
     own = tmp_path / "own.csv"
@@ -132,14 +139,18 @@ def test_data_of_a_command_line(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="arm must be named"):
         data_override([f"data={own}"])
     words = data_override([f"data={own}", "arm=mine.yaml"])
-    assert words[0] == "~data" and f"folder:'{tmp_path}'" in words[1] and "file:'own.csv'" in words[1]
+    assert f"folder:'{tmp_path}'" in words[0] and "file:'own.csv'" in words[0]
     (tmp_path / "data.yaml").write_text("data: {arm: mine.yaml, sessions: {one: {file: own.csv}}}\nevery: 3\n")
     words = data_override([f"data={tmp_path}"])
-    assert words[-2:] == ["every=3", f"arm={tmp_path / 'mine.yaml'}"] and f"folder:'{tmp_path}'" in words[1]
+    assert words[-2:] == ["every=3", f"arm={tmp_path / 'mine.yaml'}"] and f"folder:'{tmp_path}'" in words[0]
     (tmp_path / "data.yaml").write_text("sessions: {}\n")
     with pytest.raises(DataError, match="must hold the group data"):
         data_override([f"data={tmp_path / 'data.yaml'}"])
     for name in named_set("trunk_payload").files:
         (tmp_path / name).touch()
     (tmp_path / "data.yaml").unlink()
-    assert data_override([f"data={tmp_path}"]) == ["data=trunk_payload", f"data.folder='{tmp_path}'", "arm=trunk"]
+    assert data_override([f"data={tmp_path}"])[1:] == [
+        "split={folds:2,fold:1}",
+        f"data.folder='{tmp_path}'",
+        "arm=trunk",
+    ]
