@@ -47,7 +47,7 @@ def write_recordings(folder: Path, count: int = 100) -> Path:
     routing, lengths = arm.routing(), arm.rest_lengths()
     time = 0.25 * torch.arange(count, dtype=torch.float64)
     phase = torch.arange(6, dtype=torch.float64)
-    inputs = 1.5 * torch.sin(time.unsqueeze(-1) * (0.31 + 0.07 * phase) + phase)
+    inputs = 1.5 * torch.sin(time.unsqueeze(-1) * (1.1 + 0.37 * phase) + phase)
     pulled = 1e-3 * inputs + arm.actuation.pre_stretch
     noise = torch.Generator().manual_seed(4)
     ends = torch.tensor([1, 3])
