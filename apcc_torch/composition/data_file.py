@@ -9,7 +9,7 @@ from typing import Any
 from apcc_torch.composition.arm_file import SUFFIXES, spelled
 from apcc_torch.composition.identify import known_arm
 from apcc_torch.errors import ConfigError, DataError
-from apcc_torch.files import yaml_in
+from apcc_torch.files import read_text, yaml_in
 from apcc_torch.recordings.data_set import holding, named_set, refuse, set_file, set_names
 
 FILE = "data.yaml"
@@ -63,10 +63,7 @@ def _words(given: str) -> tuple[list[str], str]:
 
 
 def _of_file(file: Path, named: bool = False) -> tuple[list[str], str]:
-    try:
-        values = yaml_in(file.read_text(encoding="utf-8"), str(file))
-    except OSError as error:
-        raise DataError(f"{file}: cannot be read ({error.strerror})") from error
+    values = yaml_in(read_text(file, name=str(file)), str(file))
     if not isinstance(values, dict) or not isinstance(values.get("data"), dict):
         raise DataError(f"{file}: must hold the group data, as the files of conf/data_set do")
     data: dict[str, Any] = {"name": file.stem if file.name != FILE else file.resolve().parent.name} | values.pop("data")

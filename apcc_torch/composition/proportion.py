@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from functools import cache
+from math import log2
 from typing import Any
 
 from apcc_torch.classes import class_named
@@ -26,7 +27,8 @@ PROPORTIONAL: dict[str, Callable[[Arm], float]] = {
     "m/rad": arm_scale.length,
     "m/s": arm_scale.length,
     "1/s": lambda arm: _pace(arm),
-    "s": lambda arm: 1.0 / _pace(arm),
+    # In doublings, so that runs of arms which differ little are as long and share a batch.
+    "s": lambda arm: 2.0 ** round(-log2(_pace(arm))),
     "kg": arm_scale.largest_payload,
     "N": arm_scale.tendon_force,
     "N/m": arm_scale.tendon_stiffness,
@@ -37,8 +39,8 @@ PROPORTIONAL: dict[str, Callable[[Arm], float]] = {
 
 
 def _pace(arm: Arm) -> float:
-    """How fast an arm may be driven: a slow one as it swings, and none faster than arm 1, for sensors are no faster."""
-    return min(arm_scale.rate(arm), arm_scale.rate(_named("arm_1")))
+    """How fast an arm may be driven beside arm 1: a slow one as it swings, none faster, for sensors are no faster."""
+    return min(arm_scale.rate(arm) / arm_scale.rate(_named("arm_1")), 1.0)
 
 
 def in_proportion(values: dict[str, Any], root: type[Settings]) -> dict[str, Any]:

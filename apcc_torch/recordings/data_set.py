@@ -13,7 +13,7 @@ from typing import NoReturn
 
 from apcc_torch.conf_path import conf_path
 from apcc_torch.errors import ConfigError, DataError, in_a_line
-from apcc_torch.files import yaml_in
+from apcc_torch.files import read_text, yaml_in
 from apcc_torch.reading import read
 from apcc_torch.settings import OURS, Settings, close, did_you_mean, setting
 
@@ -98,7 +98,7 @@ def named_set(name: str) -> DataSettings:
     if name not in set_names():
         raise ConfigError(f"data has no choice {name!r}{did_you_mean(name, set_names())}")
     file = set_file(name)
-    return read(yaml_in(file.read_text(encoding="utf-8"), file.name)["data"], DataSettings, "data")
+    return read(yaml_in(read_text(file), file.name)["data"], DataSettings, "data")
 
 
 def refuse(data: str) -> NoReturn:
@@ -155,10 +155,11 @@ def checked(folder: Path, data: DataSettings) -> Path:
     """
     for name, file in data.files.items():
         try:
-            content = (folder / name).read_bytes()
+            with (folder / name).open("rb") as content:
+                digest = hashlib.file_digest(content, "sha256").hexdigest()
         except OSError as error:
             raise DataError(f"{folder / name}: cannot be read ({error.strerror}); {data.name} needs it") from error
-        if file.sha256 and hashlib.sha256(content).hexdigest() != file.sha256:
+        if file.sha256 and digest != file.sha256:
             raise DataError(f"{folder / name}: is not the file of {data.name}, its SHA-256 is another")
     return folder
 

@@ -172,7 +172,12 @@ def test_what_does_not_fit_the_rest_is_refused_where_it_is_built(key: str, value
     [
         *(("dtype", "float16"), ("arm.base", "lying"), ("arm.lengths", "[0.1,-0.2,0.3]"), ("arm.lengths", "[]")),
         *(("arm.sensors", "[0.1,0.9]"), ("arm.sensors", "[0.3,0.1]"), ("experiment.first_estimate", "[1,1,0]")),
-        *(("controller.K", "true"), ("controller.K", "much"), ("controller.K", "[1,2,x]"), ("controller.K", "{a: 1}")),
+        *(
+            ("controller.K", "true"),
+            ("controller.K", "much"),
+            ("controller.K", "[1,2,x]"),
+            ("controller.bend_bound", "{a: 1}"),
+        ),
         *(("experiment.subset", "most"), ("feedback.mode", "both")),
         *(("adaptation.refine", "0"), ("velocity_filter.window", "0"), ("controller.velocity", "guessed")),
         *(("controller.bend_bound", "-1"), ("plant.pid.K_P", "-1"), ("plant.pid.force_limit", "0")),

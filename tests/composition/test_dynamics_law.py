@@ -55,7 +55,10 @@ def test_a_feed_forward_moves_nothing() -> None:
 
 def test_what_the_plant_is() -> None:
     payload = torch.tensor([0.0, 0.5], dtype=torch.float64)
-    true = true_parameters(Builder(changed(COMPOSITE, "plant.arm.bending_stiffness=0.5", "arm.mass=1.2")), payload)
+    true = true_parameters(
+        Builder(changed(COMPOSITE, "plant.arm.bending_stiffness=0.5", "arm.mass=1.2", "plant.tendon_damping=200")),
+        payload,
+    )
     want = torch.tensor([[0.05, 10.0, 200.0, 0.0, 1.2], [0.05, 10.0, 200.0, 0.5, 1.2]], dtype=torch.float64)
     torch.testing.assert_close(true, want)
     literal = true_parameters(Builder(changed(COMPOSITE, "arm.stiffness_rule=proportional")), payload)

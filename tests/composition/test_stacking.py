@@ -72,7 +72,8 @@ def test_what_agrees_stays_and_what_differs_is_a_number_a_run() -> None:
     )
     assert two.controller.K.tolist() == [[[[1.0, 0, 0], [0, 1, 0], [0, 0, 1]]], [[[2.0, 0, 0], [0, 2, 0], [0, 0, 2]]]]
     assert two.arm.lengths.tolist() == [[[0.1, 0.2]], [[0.3, 0.4]]]  # type: ignore[union-attr]
-    assert two.controller.null_gain == 1.0 and two.bounds.lower == 0.6
+    torch.testing.assert_close(two.controller.null_gain, torch.tensor([[0.5], [0.7 / 0.6]]).double())
+    assert two.bounds.lower == 0.6
     bends = [changed("dynamic_run_2", f"controller.null_bends=[0,{b},0]") for b in (0.1, 0.2)]
     assert stacked(bends).controller.null_bends.tolist() == [[[0, 0.1, 0]], [[0, 0.2, 0]]]  # type: ignore[union-attr]
     times = [changed("dynamic_run_2", f"pose_filter.angular_time={t}") for t in (0.0, 0.04)]

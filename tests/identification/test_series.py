@@ -45,7 +45,7 @@ def test_bad_files_are_refused_in_one_sentence(tmp_path: Path, old: str, new: st
 
 
 def test_missing_files_and_bodies_are_named(tmp_path: Path) -> None:
-    with pytest.raises(DataError, match=r"nothing\.csv: cannot be read"):
+    with pytest.raises(DataError, match=r"nothing\.csv cannot be read"):
         read_series(tmp_path / "nothing.csv", ["a"], [["x", "y", "z"]])
     with pytest.raises(ConfigError, match="three columns a body"):
         _read(tmp_path, GOOD, (("x", "y"),))
