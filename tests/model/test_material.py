@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 import pytest
 from scipy.integrate import quad, solve_bvp
@@ -16,7 +18,7 @@ G = 9.81
 def elastica(length: float, mass: float, load: float, bending: float) -> float:
     """Sag of a heavy cantilever that does not stretch: EI theta'' = (w (L - s) + F) cos(theta), by collocation."""
 
-    def slopes(s: np.ndarray, y: np.ndarray) -> np.ndarray:
+    def slopes(s: np.ndarray, y: np.ndarray, stiffer: float) -> np.ndarray:
         force = G * (mass * (1.0 - s / length) + load)
         return np.vstack([y[1], force * np.cos(y[0]) / (stiffer * bending), np.sin(y[0])])
 
@@ -26,7 +28,7 @@ def elastica(length: float, mass: float, load: float, bending: float) -> float:
     # From a stiff rod on: of a soft one there are other solutions, with loops.
     s, y = np.linspace(0.0, length, 100), np.zeros((3, 100))
     for stiffer in (256.0, 64.0, 16.0, 4.0, 1.0):
-        found = solve_bvp(slopes, ends, s, y, tol=1e-8, max_nodes=20_000)
+        found = solve_bvp(partial(slopes, stiffer=stiffer), ends, s, y, tol=1e-8, max_nodes=20_000)
         assert found.success
         s, y = found.x, found.y
     return -float(y[2, -1])
@@ -41,7 +43,7 @@ def test_a_tube_has_the_moments_of_its_ring() -> None:
         of_section(1e6, 0.01, 0.01)
 
 
-@pytest.mark.parametrize(("load", "bending"), [(0.0, 0.02), (0.05, 0.004)])
+@pytest.mark.parametrize(("load", "bending"), [(0.0, 0.02), (0.05, 0.006)])
 def test_a_measured_sag_gives_the_stiffness_of_the_elastica(load: float, bending: float) -> None:
     arm = Arm(lengths=(0.2, 0.25), mass=0.04, tendon_offset=0.005)
     measured = elastica(0.45, 0.04, load, bending)
