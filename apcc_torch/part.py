@@ -79,7 +79,9 @@ class Part(Configurable, nn.Module):
         for name, method in list(vars(cls).items()):
             if inspect.isfunction(method) and not name.startswith("_"):
                 setattr(cls, name, full_precision(method))
-        torch.serialization.add_safe_globals([cls, *_records(cls)])
+        # While it exports a module, torch makes a class of the same name, which must not be taken for the part's.
+        if not cls.__module__.startswith("torch."):
+            torch.serialization.add_safe_globals([cls, *_records(cls)])
 
     def hold(self, settings: Settings) -> None:
         """Makes every setting an attribute, then derives what follows from them."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import gc
 import inspect
 import io
 import pickle
@@ -370,3 +371,11 @@ def test_settings_of_a_class_that_has_none_are_pickled_too() -> None:
     assert not fields(PCCBackbone.settings_type)
     twin = pickle.loads(pickle.dumps(PCCBackbone.settings_type()))
     assert type(twin) is PCCBackbone.settings_type and part_of(twin) is PCCBackbone
+
+
+def test_what_torch_makes_while_it_exports_is_not_loaded_in_place_of_a_part() -> None:
+    proxy = type("SavitzkyGolay", (SavitzkyGolay,), {"__module__": "torch.fx.experimental.proxy_tensor"})
+    proxy.__module__, proxy.__qualname__ = SavitzkyGolay.__module__, SavitzkyGolay.__qualname__
+    assert type(through_a_file(SavitzkyGolay(5, 2))) is SavitzkyGolay
+    del proxy
+    gc.collect()  # no other test meets it
