@@ -112,7 +112,7 @@ def test_the_shell_completes_names(tmp_path: Path) -> None:
     for line, wanted in {
         "apcc-simulate experiment=dyn": {"experiment=dynamic_run_1", "experiment=dynamic_run_2"},
         "apcc-simulate sweep=": {"sweep=gains_and_window", "sweep=optuna_gains"},
-        "apcc-simulate experiment=kinematic controller.n": {"controller.null_gain="},
+        "apcc-simulate experiment=kinematic controller.n": {"controller.null_step="},
     }.items():
         env = commands.environment() | {"COMP_LINE": line, "COMP_POINT": str(len(line))}
         asked = commands.command("-sc", "query=bash")

@@ -33,6 +33,8 @@ def data_override(arguments: Sequence[str]) -> list[str]:
             raise ConfigError(f"data must name a data set ({names}), the file of one, or a recording: data=NAME")
         return list(arguments)
     rest = [word for word in arguments if not word.startswith("data=")]
+    if given.startswith("{"):  # spelled out already
+        return list(arguments)
     words, arm = _words(given)
     if any(word.startswith(("arm=", "--config-name", "-cn")) for word in rest):
         return [*words, *rest]

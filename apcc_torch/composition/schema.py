@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import cache
@@ -19,6 +20,7 @@ from apcc_torch.composition.proportion import in_proportion
 from apcc_torch.conf_path import conf_path
 from apcc_torch.errors import ApccError, ConfigError, DataError, in_a_line, one_sentence
 from apcc_torch.files import yaml_in
+from apcc_torch.plain_text import for_terminal
 from apcc_torch.reading import check_key, defaults, nested_in, plain, read
 from apcc_torch.settings import Settings, about_of, close, default_of, did_you_mean, keys
 
@@ -29,6 +31,7 @@ OTHERS = re.compile(r"-(cd|cp|cn|sc|-config-(dir|path|name)|-shell-completion)\b
 
 
 _HYDRAS = ("hydra", "hydra_plugins", "omegaconf")
+_CLUSTERS = ("submitit", "ray")
 _RAISES = "HYDRA_FULL_ERROR"
 """With it hydra raises what it refuses; it prints it otherwise, with all that there is to choose from and where."""
 
@@ -103,6 +106,9 @@ def refused_in_a_sentence(tell: Callable[[str], object]) -> Iterator[None]:
         except Exception as error:
             if isinstance(error, ApccError) or not _is_hydras(error):
                 raise
+            if type(error).__module__.partition(".")[0] in _CLUSTERS:
+                tell(for_terminal(sentence(error)))
+                sys.exit(1)  # jobs failed, nothing was refused
             raise ConfigError(sentence(error)) from error
         finally:
             if before is None:

@@ -118,4 +118,4 @@ def test_the_slurm_launcher_asks_for_what_its_config_says(tmp_path: Path) -> Non
         "job-name=simulate",
     ):
         assert line in asked, asked
-    assert done.returncode == 1 and "velocity_filter.window=15" in done.stdout, "what never ran is named"
+    assert done.returncode == 1 and "velocity_filter.window=15" in done.stdout, done.stdout + done.stderr
