@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import gc
 import inspect
 import io
 import pickle
@@ -377,5 +376,4 @@ def test_what_torch_makes_while_it_exports_is_not_loaded_in_place_of_a_part() ->
     proxy = type("SavitzkyGolay", (SavitzkyGolay,), {"__module__": "torch.fx.experimental.proxy_tensor"})
     proxy.__module__, proxy.__qualname__ = SavitzkyGolay.__module__, SavitzkyGolay.__qualname__
     assert type(through_a_file(SavitzkyGolay(5, 2))) is SavitzkyGolay
-    del proxy
-    gc.collect()  # no other test meets it
+    proxy.__module__ = __name__  # other tests take it for one of theirs

@@ -100,7 +100,7 @@ def simulate_all(grids: Grids, folder: Path, progress: bool, workers: int = 1) -
         row = grids[c][run][name]
         shown = row._replace(config=replace(row.config, progress=progress and workers == 1))
         # Where laws stand beside each other, constants in hindsight say what there is to win.
-        limited = name == "standard" or (name == "adaptive" and len(grids[c][run]) == len(CONTROLLERS))
+        limited = len(grids[c][run]) == len(CONTROLLERS)
         tasks.append((shown, limited, f"{c}, {run}, {name}"))
     found_all = _outcomes(tasks, workers)
     for index in progress_bar("benchmark, grids", progress)(range(len(jobs))):
