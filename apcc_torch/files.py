@@ -21,7 +21,7 @@ import torch
 import yaml
 from torch import Tensor
 
-from apcc_torch.errors import DataError, WriteError, in_a_line
+from apcc_torch.errors import ConfigError, DataError, WriteError, in_a_line
 
 MOST_TEXT, MOST_ARRAYS = 2**26, 2**32
 """Largest text that is read, and largest set of arrays once they are unpacked, bytes."""
@@ -35,6 +35,21 @@ NUMBER = re.compile(r"[-+.0-9][-+._:0-9a-fA-Fxo]*")
 
 Loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 """PyYAML's parser in C, where it was built with it: ten times faster."""
+
+
+def cache_folder() -> Path:
+    """Where what can be made or fetched again is kept: APCC_CACHE, else apcc_torch in the user's cache folder.
+
+    Raises:
+        ConfigError: The user has no home folder.
+    """
+    named, caches = os.environ.get("APCC_CACHE"), os.environ.get("XDG_CACHE_HOME")
+    if named:
+        return Path(named).absolute()
+    try:
+        return Path(caches or Path.home() / ".cache").absolute() / "apcc_torch"
+    except RuntimeError as error:
+        raise ConfigError("there is no home folder to keep a cache in; name a folder in APCC_CACHE") from error
 
 
 @contextmanager

@@ -201,9 +201,7 @@ class LoadedShape(Part):
             X: (..., k) abscissae of the points on the arm at rest, m.
         """
         q = self.configuration(state)
-        pieces = self.pieces(q)
-        points = self.backbone.material_points(pieces, *located(X.to(q).expand(*q.shape[:-1], X.shape[-1]), pieces))
-        chain = self.backbone.chain_to(q, points)
+        chain = self.backbone.chain_to(q, self.backbone.material_points(self.pieces(q), *self._located(q, X)))
         move = chain.rotation @ self._moved(chain.body_jacobian(), state)[..., 3:, :]
         return move @ covariance.unsqueeze(-3) @ move.mT
 
@@ -301,8 +299,10 @@ class LoadedShape(Part):
 
     def sensors_at(self, q: Tensor) -> tuple[Tensor, Tensor]:
         """Normalised abscissa and piece (..., k) of the sensors, of the leading shape of q."""
-        X = self.abscissae.to(q)
-        return located(X.expand(*q.shape[:-1], X.shape[-1]), self.pieces(q))
+        return self._located(q, self.abscissae)
+
+    def _located(self, q: Tensor, X: Tensor) -> tuple[Tensor, Tensor]:
+        return located(X.to(q).expand(*q.shape[:-1], X.shape[-1]), self.pieces(q))
 
     def share(self, q: Tensor, X_tilde: Tensor, piece: Tensor) -> Tensor:
         """How far along the arm material points (..., k) of its pieces lie, over its length, at q (..., n_f)."""

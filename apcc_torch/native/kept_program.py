@@ -9,8 +9,9 @@ from typing import Any, NamedTuple, Self
 
 import torch
 
+from apcc_torch.files import cache_folder
 from apcc_torch.native.build import built, kept_name
-from apcc_torch.native.library import alone, cache_folder, keep, kept, loaded
+from apcc_torch.native.library import alone, keep, kept, loaded
 from apcc_torch.native.source import Source
 from apcc_torch.plain_text import plain_logger
 

@@ -14,8 +14,8 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-from apcc_torch.errors import CompileError
-from apcc_torch.files import write_atomically
+from apcc_torch.errors import CompileError, ConfigError
+from apcc_torch.files import cache_folder, write_atomically
 from apcc_torch.plain_text import plain_logger
 
 log = plain_logger(__name__)
@@ -27,28 +27,16 @@ ABANDONED = 3600.0
 """After this time, in which none of its files came or went, s, nobody works on a build any more."""
 
 
-def cache_folder() -> Path:
-    """Where libraries are kept: APCC_CACHE, else apcc_torch in the user's cache folder.
-
-    Raises:
-        CompileError: The user has no home folder.
-    """
-    named, caches = os.environ.get("APCC_CACHE"), os.environ.get("XDG_CACHE_HOME")
-    if named:
-        return Path(named).absolute()
-    try:
-        return Path(caches or Path.home() / ".cache").absolute() / "apcc_torch"
-    except RuntimeError as error:
-        raise CompileError("there is no home folder to keep machine code in; name a folder in APCC_CACHE") from error
-
-
 def private_folder() -> Path:
     """The cache folder, made for this user alone if it is not there.
 
     Raises:
         CompileError: It cannot be made, or another user owns it or may write to it.
     """
-    folder = cache_folder()
+    try:
+        folder = cache_folder()
+    except ConfigError as error:
+        raise CompileError(str(error)) from error
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
         folder.mkdir(mode=0o700, exist_ok=True)

@@ -62,8 +62,9 @@ _FOLDED: dict[str, Callable[..., Constant]] = {
     "sin": math.sin,
     "cos": math.cos,
     "floor": math.floor,
-    "max": max,
-    "min": min,
+    # As lanes.hpp has them: what is not a number stays so.
+    "max": lambda a, b: a if a > b or a != a else b,
+    "min": lambda a, b: a if a < b or a != a else b,
     "lt": operator.lt,
     "le": operator.le,
     "eq": operator.eq,

@@ -47,7 +47,7 @@ class Arithmetic:
         return Value(torch.tensor(flat, dtype=torch.int64).reshape(tensor.shape), tensor.dtype)
 
     def held(self, tensor: Tensor) -> Value:
-        """A tensor that the function holds; see `Scalars.held`. Equal entries of one tensor are one number."""
+        """A tensor that the function holds, each entry a number of its own; see `Scalars.held`."""
         if kind_of(tensor.dtype) != FLOAT:
             return self.constant(tensor)
         self._tensors += 1

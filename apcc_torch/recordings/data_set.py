@@ -13,7 +13,7 @@ from typing import NoReturn
 
 from apcc_torch.conf_path import conf_path
 from apcc_torch.errors import ConfigError, DataError, in_a_line
-from apcc_torch.files import read_text, yaml_in
+from apcc_torch.files import cache_folder, read_text, yaml_in
 from apcc_torch.reading import read
 from apcc_torch.settings import OURS, Settings, close, did_you_mean, setting
 
@@ -21,8 +21,6 @@ FOLDER = "data_set"
 """Of conf/, in which the sets are declared. Were it called data, Hydra would take data=FILE for a choice of them."""
 ROOT = "APCC_DATA"
 """The environment's name for a folder of data sets."""
-CACHE = "APCC_CACHE"
-"""The environment's name for the folder that fetched ones go to; without it, the user's cache."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -143,7 +141,7 @@ def located(data: DataSettings, data_root: str | None = None) -> Path:
         return checked(Path(root) / place, data)
     if data_root:
         raise DataError(f"data_root must hold the folder {place}, and {data_root} does not")
-    cached = _cache() / f"{place}-{data.commit or 'latest'}"
+    cached = cache_folder() / f"{place}-{data.commit or 'latest'}"
     return checked(cached if cached.is_dir() else fetched(data, cached), data)
 
 
@@ -184,7 +182,8 @@ def fetched(data: DataSettings, folder: Path) -> Path:
     pooch.get_logger().setLevel("ERROR")
     draft: Path | None = None
     try:
-        folder.parent.mkdir(parents=True, exist_ok=True)
+        # Private, for machine code is kept there too.
+        folder.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
         draft = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=folder.parent))
         for name, address in addresses.items():
             told = data.files[name].sha256
@@ -198,14 +197,6 @@ def fetched(data: DataSettings, folder: Path) -> Path:
         if draft is not None:
             shutil.rmtree(draft, ignore_errors=True)
     return folder
-
-
-def _cache() -> Path:
-    given = os.environ.get(CACHE)
-    if given:
-        return Path(given)
-    base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    return Path(base) / "apcc_torch"
 
 
 def holding(folder: Path, sets: Mapping[str, DataSettings]) -> str | None:

@@ -15,9 +15,10 @@ import torch
 from torch import Tensor, nn
 
 from apcc_torch.errors import CompileError
+from apcc_torch.files import cache_folder
 from apcc_torch.native.compiled import TorchStep, compiled
 from apcc_torch.native.function import NativeFunction
-from apcc_torch.native.library import BUILD, cache_folder, keep, kept, swept_folder
+from apcc_torch.native.library import BUILD, keep, kept, swept_folder
 
 
 class Doubles(nn.Module):

@@ -104,3 +104,11 @@ def test_truth() -> None:
     assert scalars.make("and", no, p) == no and scalars.make("or", p, yes) == yes
     x, y = scalars.input(1, FLOAT), scalars.input(2, FLOAT)
     assert scalars.make("select", scalars.make("not", p), x, y) == scalars.make("select", p, y, x)
+
+
+@pytest.mark.parametrize("op", ["max", "min"])
+def test_what_is_not_a_number_stays_so_when_it_is_folded(op: str) -> None:
+    scalars = Scalars()
+    nan, one = scalars.constant(math.nan, FLOAT), scalars.constant(1.0, FLOAT)
+    for pair in ((nan, one), (one, nan)):
+        assert math.isnan(float(scalars.known(scalars.make(op, *pair)) or 0.0))
