@@ -11,6 +11,9 @@ import pytest
 
 from commands import ONE_BY_ONE, QUICK, command, environment, jobs, simulate
 
+RAY = {"RAY_worker_niceness": "0"}
+"""Ray gives way to all else, by a niceness of 15: beside other busy tests its jobs would stand for minutes."""
+
 SWEEP = ("-m", *QUICK, "velocity_filter.window=5,15", "hydra.sweep.dir=sweep")
 
 
@@ -40,9 +43,15 @@ def same(found: dict[str, dict[str, float]], wanted: dict[str, dict[str, float]]
     ],
 )
 def test_a_launcher_of_this_machine(
-    launcher: str, plugin: str, tmp_path: Path, wanted: dict[str, dict[str, float]]
+    launcher: str,
+    plugin: str,
+    tmp_path: Path,
+    wanted: dict[str, dict[str, float]],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     pytest.importorskip(f"hydra_plugins.{plugin}")
+    for name, value in RAY.items():
+        monkeypatch.setenv(name, value)
     # Launchers start processes of their own kinds: from one as a user has it.
     done = simulate(tmp_path, *SWEEP, f"hydra/launcher={launcher}", forked=False)
     assert done.returncode == 0, done.stdout + done.stderr
@@ -71,7 +80,7 @@ def test_a_running_ray_cluster_of_two_nodes(tmp_path: Path, wanted: dict[str, di
     done = subprocess.run(
         [sys.executable, "-c", CLUSTER, *SWEEP, "hydra/launcher=ray_cluster"],
         cwd=tmp_path,
-        env=environment(),
+        env=environment() | RAY,
         capture_output=True,
         text=True,
         check=False,
