@@ -6,20 +6,25 @@ A hook of mkdocs. The Markdown stays as a code host shows it; links that leave d
 from __future__ import annotations
 
 import ast
+import logging
 import posixpath
 import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from mkdocs.exceptions import PluginError
 from mkdocs.structure.files import File, Files, InclusionLevel
+from mkdocs.structure.pages import Page
+
+log = logging.getLogger("mkdocs.hooks.pages")
 
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGE = "apcc_torch"
 API = "api/"
 LINK = re.compile(r"(?<=\]\()(?![a-z]+:|#)([^)#\s]+)")
 """The target of a link in Markdown, up to its anchor."""
+HREF = re.compile(r'href="([^":#]+\.(?:md|ipynb))(#[^"]*)?"')
+"""A link of a rendered notebook, which mkdocs leaves as it is."""
 ALONE = "---\nhide: [navigation]\n---\n"
 """The head of a page that has no others beside it."""
 LANGUAGES = {".py": "python", ".yaml": "yaml", ".toml": "toml", ".json": "json"}
@@ -123,24 +128,19 @@ def turned(text: str, where: str, linked: set[str]) -> str:
     """A page's Markdown with every link out of docs/ turned to a page of the site.
 
     where: The page's folder in the repository, "docs" or "". linked: Gets the repository's files that need a page.
-
-    Raises:
-        PluginError: A link leads nowhere.
     """
 
     def turn(match: re.Match[str]) -> str:
         target = posixpath.normpath(posixpath.join(where, match[1]))
         path = ROOT / target
         if not path.exists():
-            raise PluginError(f"{where or 'README.md'}: the link to {match[1]} leads nowhere")
+            return match[1]  # mkdocs says so where it is a link
         if target == "README.md":
             return "index.md"
         if target.startswith("docs/"):
             return target.removeprefix("docs/")
         if path.is_dir() and is_package(path):
             return f"{API}{target.replace('/', '.')}.md"
-        if path.is_dir():
-            raise PluginError(f"{where or 'README.md'}: {match[1]} is a folder; link to one of its files")
         linked.add(target)
         return f"source/{target}.md"
 
@@ -170,3 +170,17 @@ def on_files(files: Files, config: Any) -> Files:
             file.inclusion = InclusionLevel.NOT_IN_NAV
         files.append(file)
     return files
+
+
+def on_page_content(html: str, page: Page, config: Any, files: Files) -> str:
+    """Turns a notebook's links between pages to the pages of the site."""
+
+    def turn(match: re.Match[str]) -> str:
+        here = page.file.src_uri
+        file = files.get_file_from_path(posixpath.normpath(posixpath.join(posixpath.dirname(here), match[1])))
+        if file is None:
+            log.warning("%s: the link to %s leads nowhere", here, match[1])
+            return match[0]
+        return f'href="{file.url_relative_to(page.file)}{match[2] or ""}"'
+
+    return HREF.sub(turn, html) if page.file.src_uri.endswith(".ipynb") else html
