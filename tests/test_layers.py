@@ -47,7 +47,7 @@ LAYERS: tuple[tuple[str, ...], ...] = (
     ("experiments",),
     ("paper",),
     ("sweeps",),
-    ("composed", "new_arm", "simulate"),
+    ("composed", "demo", "new_arm", "simulate"),
     ("benchmark", "evaluate", "identify", "report.__main__", "robot", "robot_log"),
 )
 
