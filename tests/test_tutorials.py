@@ -25,7 +25,7 @@ NUMBERS = {
         r"at the end: ([\d.]+) mm in the median": (0.0, 8.0),
         r"tips within ([\d.]+) mm": (0.0, 3.0),
     },
-    "learning": {r"no action: (\d+) mm": (200.0, 300.0), r"updates: (\d+) mm": (0.0, 45.0)},
+    "learning": {r"no action: (\d+) mm": (200.0, 300.0), r"updates: (\d+) mm": (0.0, 40.0)},
     "your_arm": {
         r"lengths at the end within ([\d.]+) mm": (0.0, 5.0),
         r"tip within ([\d.]+) mm over the last": (0.0, 3.0),

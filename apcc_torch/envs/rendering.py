@@ -64,7 +64,7 @@ def load_renderer(name: str | None, arm: Arm) -> Renderer:
     try:
         renderer: Renderer = load_env_creator(name)(length=length, upward=bool(arm.base_rotation()[2, 2] > 0))  # type: ignore[assignment]
     except ModuleNotFoundError as error:
-        raise ConfigError(f"rendering needs {error.name}: pip install 'apcc-torch[viz]'") from error
+        raise ConfigError(f"rendering needs {error.name}, which is not installed") from error
     return renderer
 
 
