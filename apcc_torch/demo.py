@@ -72,7 +72,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     )
     folder = Path(parser.parse_args(argv).folder)
     torch.set_num_threads(1)  # small tensors: threads would cost more than they bring
-    arm = Arm(lengths=[0.2, 0.25], name="demo")
+    arm = Arm(lengths=(0.2, 0.25), name="demo")
     began = time.perf_counter()
     log = followed(arm)
     said = told(arm, log, time.perf_counter() - began)
