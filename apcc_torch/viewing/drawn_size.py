@@ -1,0 +1,30 @@
+"""How large an arm is drawn."""
+
+from __future__ import annotations
+
+from typing import NamedTuple, Self
+
+from apcc_torch.model.arm import Arm
+from apcc_torch.model.arm_scale import length
+
+
+class DrawnSize(NamedTuple):
+    """The size of a scene.
+
+    length: Of the arm, m. radius: Of its tube, m, within its tendons. upward: Whether it stands; else it hangs.
+    """
+
+    length: float
+    radius: float
+    upward: bool
+
+    @classmethod
+    def of(cls, arm: Arm) -> Self:
+        """The size of one arm.
+
+        Example:
+            >>> DrawnSize.of(Arm(lengths=[0.2, 0.25], tendon_offset=0.02)).radius
+            0.012
+        """
+        offset = float(arm.routing().offsets.max())
+        return cls(length(arm), 0.6 * offset, bool(arm.base_rotation()[2, 2] > 0))

@@ -1,0 +1,115 @@
+"""A finished run on a page, under a time slider."""
+
+from __future__ import annotations
+
+import threading
+import time
+
+import numpy as np
+
+from apcc_torch.viewing.page import Page
+from apcc_torch.viewing.panel import Panel
+from apcc_torch.viewing.recorded import Recorded
+from apcc_torch.viewing.scene import LAYERS, Scene
+
+FRAME = 0.04
+"""s between two pictures."""
+SPEEDS = ("0.25", "0.5", "1", "2", "5")
+PLOTTED = 600
+"""Most instants that the plot shows."""
+
+
+class Player:
+    """A page with a run, a slider over its time, and controls.
+
+    Args:
+        page: Empty.
+        run: What is shown.
+        row: Which row first.
+
+    Attributes:
+        playing: Whether time goes on. slider: Of the time, s.
+    """
+
+    def __init__(self, page: Page, run: Recorded, row: int = 0) -> None:
+        self.page, self.run_shown, self.row = page, run, row
+        self.scene = Scene(page, *run.size)
+        if run.tension is not None:
+            high = float(np.nanquantile(run.tension.numpy(), 0.98))  # a jerk would leave the rest pale
+            self.scene.full_tension = max(high, 1e-3)
+        self.playing = False
+        self.changed = threading.Event()
+        self.changed.set()
+        self.panel = Panel(page, self.scene, run.sections)
+        self._add_controls()
+        self._show()
+        self.panel.add_layers(self._layers())
+
+    def _layers(self) -> tuple[str, ...]:
+        has = {
+            "tendons": self.run_shown.arm.routing is not None,
+            "sensors": self.run_shown.abscissae is not None or self.run_shown.poses is not None,
+            "uncertainty": self.run_shown.noise > 0.0,
+            "model": self.run_shown.model is not None,
+        }
+        return tuple(layer for layer in LAYERS if has.get(layer, True))
+
+    def _add_controls(self) -> None:
+        gui, run = self.page.server.gui, self.run_shown
+        begin, end = float(run.time[0]), float(run.time[-1])
+        self.play = gui.add_button("Play")
+        self.play.on_click(lambda _: self._toggle())
+        step = max((end - begin) / max(len(run.time) - 1, 1), 1e-4)
+        self.slider = gui.add_slider("time (s)", begin, max(end, begin + step), step, begin)
+        self.slider.on_update(lambda _: self.changed.set())
+        self.speed = gui.add_dropdown("speed", SPEEDS, initial_value="1", hint="times real time")
+        if len(run.rows) > 1:
+            rows = gui.add_number("row", self.row, min=0, max=len(run.rows) - 1, step=1, hint="of the run's rows")
+            rows.on_update(lambda _: self._choose(int(rows.value)))
+
+    def _toggle(self) -> None:
+        if not self.playing and self.slider.value >= self.slider.max:
+            self.slider.value = self.slider.min
+        self.playing = not self.playing
+        self.play.label = "Pause" if self.playing else "Play"
+
+    def _choose(self, row: int) -> None:
+        self.row = row
+        self.changed.set()
+
+    def run(self, over: threading.Event) -> None:
+        """Shows what the controls ask for, until it is over."""
+        before = time.monotonic()
+        while not over.wait(FRAME):
+            now = time.monotonic()
+            if self.playing:
+                later = self.slider.value + float(self.speed.value) * (now - before)
+                self.slider.value = min(later, self.slider.max)
+                if later >= self.slider.max:
+                    self._toggle()
+                self.changed.set()
+            before = now
+            if self.changed.is_set():
+                self.changed.clear()
+                self._show()
+
+    def _show(self) -> None:
+        run, row = self.run_shown, self.row
+        k = run.nearest(float(self.slider.value))
+        moment = run.moment(k, row)
+        self.scene.show(moment)
+        x, y, z = 1e3 * run.x_d[k, row].numpy()
+        numbers = {"time": f"{float(run.time[k]):.2f} of {float(run.time[-1]):.2f} s"}
+        if run.rows[row]:
+            numbers["row"] = run.rows[row]
+        numbers |= {
+            "error of the tip": f"{1e3 * float(run.error[k, row]):.2f} mm",
+            "target": f"{x:.0f}, {y:.0f}, {z:.0f} mm",
+            "believed lengths": ", ".join(f"{1e3 * v:.0f}" for v in run.pi_hat[k, row].tolist()) + " mm",
+        }
+        if moment.tension is not None:
+            numbers["highest tension"] = f"{float(np.nanmax(moment.tension)):.1f} N"
+        self.panel.tell(numbers)
+        at = np.unique(np.linspace(0, len(run.time) - 1, PLOTTED).astype(int))
+        time_, error = run.time.numpy()[at], 1e3 * run.error[:, row].numpy()[at]
+        self.panel.draw_error(time_, error, float(run.time[k]))
