@@ -48,8 +48,8 @@ LAYERS: tuple[tuple[str, ...], ...] = (
     ("experiments",),
     ("paper",),
     ("sweeps",),
-    ("composed", "new_arm", "simulate"),
-    ("benchmark", "evaluate", "identify", "report.__main__", "robot", "robot_log", "view"),
+    ("composed", "new_arm", "robot_log", "simulate"),
+    ("benchmark", "evaluate", "identify", "report.__main__", "robot", "view"),
 )
 
 # What a unit does without, though it lies below: real devices know no simulation, and get the simulated arm's plant.

@@ -5,14 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from apcc_torch.errors import ConfigError
 from apcc_torch.plain_text import plain_logger
 from apcc_torch.web_address import EVERYWHERE, WebAddress
-
-if TYPE_CHECKING:
-    import viser
 
 log = plain_logger(__name__)
 
@@ -48,14 +45,12 @@ class Page:
         self.console = rich.get_console()
         self.address = address.free()
         with self._silent():
-            self.server: viser.ViserServer = viser.ViserServer(
-                host=self.address.host, port=self.address.port, verbose=False
-            )
+            self.server: Any = viser.ViserServer(host=self.address.host, port=self.address.port, verbose=False)
         if self.server.get_port() != self.address.port:  # somebody took it since
             self.close()
             raise ConfigError(f"page.port={self.address.port} is taken: choose another one, or 0 for any that is free")
         # A page of viser's can be sent through a server of others by anyone who opens it.
-        self.server.request_share_url = _not_shared  # type: ignore[method-assign]
+        setattr(self.server, "request_share_url", _not_shared)  # noqa: B010
         gui, scene = self.server.gui, self.server.scene
         gui.set_panel_label(title)
         gui.configure_theme(control_width="medium", show_logo=False, show_share_button=False, brand_color=BRAND)

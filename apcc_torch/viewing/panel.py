@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from html import escape
 from typing import Any
 
@@ -85,12 +85,15 @@ class Panel:
             self.gui.add_html(BOX.format(content=self._legend(shown)))
             for layer in shown:
                 box = self.gui.add_checkbox(layer, initial_value=True)
-                box.on_update(lambda _, layer=layer, box=box: self.scene.hide(layer, box.value))
+                box.on_update(self._hiding(layer))
             if "uncertainty" in shown:
                 size = self.gui.add_slider(
                     "enlarged", 1.0, 100.0, 1.0, self.scene.enlarged, hint="of the ellipsoids, standard deviations"
                 )
                 size.on_update(lambda _: setattr(self.scene, "enlarged", float(size.value)))
+
+    def _hiding(self, layer: str) -> Callable[[Any], None]:
+        return lambda event: self.scene.hide(layer, bool(event.target.value))
 
     def _legend(self, shown: tuple[str, ...]) -> str:
         colors = [style.SERIES[i % len(style.SERIES)] for i in range(self.sections)]

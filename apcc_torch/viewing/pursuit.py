@@ -47,8 +47,9 @@ class Pursuit:
         controller = with_dynamics(build, build.controller())
         sensors, places = build.pose_sensors(), build.true_sensors_at()
         self.loop = ClosedLoop(self.plant, controller, sensors, self.set_point, self.period, places)
-        composite = isinstance(controller, CompositeController)
-        self.controller: APCCController = controller.kinematic if composite else controller
+        self.controller: APCCController = (
+            controller.kinematic if isinstance(controller, CompositeController) else controller
+        )
         with torch.inference_mode():
             self.step_loop = compiled(self.loop, self.loop.blank(), settings.compile, 1)
             self.rest = self.plant.settled(self.plant.settle, self.period / self.plant.substeps, settings.compile)

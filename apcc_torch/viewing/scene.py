@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -10,9 +10,6 @@ from apcc_torch.report import style
 from apcc_torch.viewing.moment import Array, Moment
 from apcc_torch.viewing.page import Page
 from apcc_torch.viewing.tube import tube
-
-if TYPE_CHECKING:
-    import viser
 
 LAYERS = ("arm", "tendons", "sensors", "uncertainty", "model")
 """What can be hidden."""
@@ -99,8 +96,8 @@ class Scene:
             if name.partition("/")[0] == layer:
                 node.visible = visible
 
-    def target_control(self, at: Array) -> viser.TransformControlsHandle:
-        """A target that can be dragged, in place of the shown one; (3,) m."""
+    def target_control(self, at: Array) -> Any:
+        """viser's handle of a target that can be dragged, in place of the shown one; at (3,) m."""
         far = 1.5 * self.length
         control = self.scene.add_transform_controls(
             "/target",
@@ -152,14 +149,14 @@ class Scene:
         self._add("tendons", lambda: self.scene.add_line_segments("/tendons", points, colors, **look))
 
     def _show_sensors(self, T: Array, covariance: Array | None) -> None:
-        seen = np.isfinite(T).all((-1, -2))
+        seen: Array = np.isfinite(T).all((-1, -2))
         T = np.where(seen[:, None, None], T, np.eye(4))
         places = T[:, :3, 3].astype(np.float32)
         self._instances("sensors/collars", places, _quaternions(T[:, :3, :3]), seen[:, None] * np.ones((1, 3)))
         self._instances("sensors/axes", places, _quaternions(T[:, :3, :3]), seen[:, None] * np.ones((1, 3)))
         if covariance is None:
             return
-        known = seen & np.isfinite(covariance).all((-1, -2))
+        known: Array = seen & np.isfinite(covariance).all((-1, -2))
         size, turn = np.linalg.eigh(np.where(known[:, None, None], covariance, np.eye(3)))
         turn[..., 0] *= np.sign(np.linalg.det(turn))[:, None]
         axes = self.enlarged * np.sqrt(size.clip(min=0.0)) * known[:, None]
@@ -173,15 +170,14 @@ class Scene:
             node.batched_positions, node.batched_wxyzs, node.batched_scales = places, wxyz, scales
             return
         if name == "sensors/axes":
-            look = {"axes_length": 2.6 * self.radius, "axes_radius": 0.1 * self.radius}
+            look: dict[str, Any] = {"axes_length": 2.6 * self.radius, "axes_radius": 0.1 * self.radius}
             self._add(name, lambda: self.scene.add_batched_axes(f"/{name}", wxyz, places, scales, **look))
             return
-        mesh, color, opacity = (
-            (_collar(self.radius), style.SENSOR, None)
-            if name == "sensors/collars"
-            else (self._ball, style.PURPLE, 0.35)
-        )
-        look = {"batched_scales": scales, "batched_colors": _rgb(color), "opacity": opacity, "lod": "off"}
+        collar = name == "sensors/collars"
+        mesh = _collar(self.radius) if collar else self._ball
+        look = {"batched_scales": scales, "lod": "off"}
+        look["batched_colors"] = _rgb(style.SENSOR if collar else style.PURPLE)
+        look["opacity"] = None if collar else 0.35
         self._add(name, lambda: self.scene.add_batched_meshes_simple(f"/{name}", *mesh, wxyz, places, **look))
 
     def _show_target(self, target: Array) -> None:

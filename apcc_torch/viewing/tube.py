@@ -69,8 +69,8 @@ def _faces(P: int) -> Array:
     after = (s + 1) % SIDES
     a, b, c, d = (k * SIDES + s, k * SIDES + after, (k + 1) * SIDES + s, (k + 1) * SIDES + after)
     sides = np.stack((np.stack((a, b, d), -1), np.stack((a, d, c), -1)), axis=-2).reshape(-1, 3)
-    s = np.arange(SIDES)
+    around = np.arange(SIDES)
     begin, end, middle = P * SIDES, (P + 1) * SIDES, (P + 2) * SIDES
-    first = np.stack((begin + (s + 1) % SIDES, begin + s, np.full(SIDES, middle)), axis=-1)
-    last = np.stack((end + s, end + (s + 1) % SIDES, np.full(SIDES, middle + 1)), axis=-1)
+    first = np.stack((begin + (around + 1) % SIDES, begin + around, np.full(SIDES, middle)), axis=-1)
+    last = np.stack((end + around, end + (around + 1) % SIDES, np.full(SIDES, middle + 1)), axis=-1)
     return np.concatenate((sides, first, last)).astype(np.uint32)
