@@ -15,7 +15,7 @@ class Moment(NamedTuple):
     sections: (S, P, 3) centre lines of the arm's sections, from the base to the tip.
     tendons: (n_a, Q, 3) paths, NaN where a tendon does not run.
     tension: (n_a,) N.
-    sensors: (k, 4, 4) poses, NaN where one is not seen.
+    sensors: (k, 4, 4) poses, NaN where one is not seen; (k, 3) where only their places are known.
     covariance: (k, 3, 3) m^2, of the sensors' places.
     model: (M, 3) centre line of the virtual model.
     target: (3,) of the tip, or (G, 3) of the backbone.

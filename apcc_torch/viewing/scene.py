@@ -149,14 +149,18 @@ class Scene:
         self._add("tendons", lambda: self.scene.add_line_segments("/tendons", points, colors, **look))
 
     def _show_sensors(self, T: Array, covariance: Array | None) -> None:
-        seen: Array = np.isfinite(T).all((-1, -2))
+        if T.ndim == 2:
+            wxyz = np.broadcast_to(np.array((1.0, 0.0, 0.0, 0.0)), (len(T), 4))
+            self._instances("sensors/balls", T.astype(np.float32), wxyz, np.full((len(T), 3), 1.35 * self.radius))
+            return
+        seen = np.asarray(np.isfinite(T).all((-1, -2)))
         T = np.where(seen[:, None, None], T, np.eye(4))
         places = T[:, :3, 3].astype(np.float32)
         self._instances("sensors/collars", places, _quaternions(T[:, :3, :3]), seen[:, None] * np.ones((1, 3)))
         self._instances("sensors/axes", places, _quaternions(T[:, :3, :3]), seen[:, None] * np.ones((1, 3)))
         if covariance is None:
             return
-        known: Array = seen & np.isfinite(covariance).all((-1, -2))
+        known = seen & np.isfinite(covariance).all((-1, -2))
         size, turn = np.linalg.eigh(np.where(known[:, None, None], covariance, np.eye(3)))
         turn[..., 0] *= np.sign(np.linalg.det(turn))[:, None]
         axes = self.enlarged * np.sqrt(size.clip(min=0.0)) * known[:, None]
@@ -176,8 +180,9 @@ class Scene:
         collar = name == "sensors/collars"
         mesh = _collar(self.radius) if collar else self._ball
         look = {"batched_scales": scales, "lod": "off"}
-        look["batched_colors"] = _rgb(style.SENSOR if collar else style.PURPLE)
-        look["opacity"] = None if collar else 0.35
+        known = name.startswith("sensors/")
+        look["batched_colors"] = _rgb(style.SENSOR if known else style.PURPLE)
+        look["opacity"] = None if known else 0.35
         self._add(name, lambda: self.scene.add_batched_meshes_simple(f"/{name}", *mesh, wxyz, places, **look))
 
     def _show_target(self, target: Array) -> None:
