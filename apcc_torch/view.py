@@ -82,7 +82,6 @@ def show_arm(given: argparse.Namespace, address: WebAddress, over: threading.Eve
     arm = Arm.load(given.what)
     words = [f"experiment={EXPERIMENT}", f"arm={given.what}", "compile=auto", *given.changes]
     settings = compose(*words).settings
-    address = address.free("--")
     sys.stderr.write(for_terminal(f"{given.what}: its loop is built, which may take half a minute the first time\n"))
     pursuit = Pursuit(settings)
     with Page(address, arm.name, *_camera(DrawnSize.of(settings.arm))) as page:
@@ -123,7 +122,7 @@ def main(argv: Sequence[str] | None = None) -> None:
         stoppable(lambda by: sys.stderr.write(f"stopped by {by}\n")),
         one_sentence(lambda said: sys.stderr.write(f"apcc_torch.view: {said}\n")),
     ):
-        address = WebAddress(host=given.host, port=given.port)
+        address = WebAddress(host=given.host, port=given.port).free("--")
         (show_run if is_run(given.what) else show_arm)(given, address, over)
 
 

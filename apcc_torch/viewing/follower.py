@@ -10,6 +10,7 @@ import numpy as np
 
 from apcc_torch.model.arm_scale import largest_payload
 from apcc_torch.viewing.drawn_size import DrawnSize
+from apcc_torch.viewing.moment import Array
 from apcc_torch.viewing.page import Page
 from apcc_torch.viewing.panel import Panel
 from apcc_torch.viewing.pursuit import Pursuit
@@ -56,19 +57,35 @@ class Follower:
 
     def _add_controls(self) -> None:
         gui, pursuit = self.page.server.gui, self.pursuit
-        self.control.on_update(lambda _: self._aim())
+        self.control.on_update(lambda _: self._follow())
         self.pause = gui.add_button("Pause")
         self.pause.on_click(lambda _: self._toggle())
         reset = gui.add_button("Reset", color="gray")
         reset.on_click(lambda _: self._reset.set())
         most = max(float(f"{1.5 * largest_payload(pursuit.arm):.2g}"), pursuit.payload)
-        payload = gui.add_slider(
+        self.payload = gui.add_slider(
             "payload (kg)", 0.0, most, most / 100.0, pursuit.payload, hint="at the tip; the controller is not told"
         )
-        payload.on_update(lambda _: setattr(pursuit, "payload", float(payload.value)))
+        self.payload.on_update(lambda _: setattr(pursuit, "payload", float(self.payload.value)))
 
-    def _aim(self) -> None:
-        self.pursuit.target = tuple(float(v) for v in self.control.position)
+    def _follow(self) -> None:
+        self.pursuit.target = self.control.position
+
+    def aim(self, target: Array) -> None:
+        """Puts the target to (3,) m, as if it were dragged there."""
+        self.control.position = tuple(float(v) for v in target)
+        self._follow()
+
+    def advance(self, steps: int = 1) -> None:
+        """So many control periods, as fast as they are computed."""
+        for _ in range(steps):
+            self.pursuit.step()
+        self._keep()
+
+    def show(self) -> None:
+        """Shows the arm and the numbers as they are."""
+        self.scene.show(self.pursuit.moment())
+        self._tell()
 
     def _toggle(self) -> None:
         self.paused = not self.paused
@@ -101,12 +118,13 @@ class Follower:
     def _begin_anew(self) -> None:
         self._reset.clear()
         self.pursuit.reset()
-        self.control.position = tuple(self.first_target.tolist())
-        self._aim()
+        self.aim(self.first_target)
         self.times.clear()
         self.errors.clear()
 
     def _keep(self) -> None:
+        if self.times and self.pursuit.time <= self.times[-1]:
+            return
         self.times.append(self.pursuit.time)
         self.errors.append(1e3 * self.pursuit.error)
         while self.times[-1] - self.times[0] > KEPT:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -64,10 +63,10 @@ class Pursuit:
         return target
 
     @target.setter
-    def target(self, x_d: Sequence[float]) -> None:
+    def target(self, x_d: Array) -> None:
         with torch.inference_mode():
             # In place: compiled code reads it where it is.
-            self.set_point.x_d.copy_(torch.as_tensor([tuple(x_d)]))
+            self.set_point.x_d.copy_(torch.as_tensor(np.asarray(x_d)[None]))
 
     @property
     def payload(self) -> float:

@@ -85,7 +85,7 @@ def has(counts: np.ndarray, hue: float, within: int = 12) -> bool:
 
 def opened(browser: Any, page: Page, *seen: float) -> None:
     browser.get_log("browser")  # what was there before is another page's
-    browser.get(page.address.url)
+    browser.get(f"{page.address.url}/?fixedDpr=0.5")
     until(lambda: all(has(hues(browser), hue) for hue in seen))
     assert chromium.errors(browser) == []
 
@@ -169,7 +169,7 @@ def test_a_run_on_an_arm_is_seen_live_and_is_the_same_as_unseen(browser: Any) ->
     with LiveView(watched, ANY) as view:
         run = fake_run(observers=(view,))
         browser.get_log("browser")
-        browser.get(view.address.url)
+        browser.get(f"{view.address.url}/?fixedDpr=0.5")
         until(lambda: has(hues(browser), ORANGE) and has(hues(browser), GREEN) and "disarmed" in text(browser))
         assert "173.2 mm" in text(browser) and "0, 150, -500 mm" in text(browser)
         assert chromium.errors(browser) == []
