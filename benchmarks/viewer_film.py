@@ -32,7 +32,7 @@ FILM = Path(__file__).resolve().parent.parent / "docs" / "images" / "viewer.gif"
 WORDS = ("experiment=setpoint", "arm=arm_1", "controller.K=3", "compile=auto")
 SIZE, RATE = (1000, 620), 10
 """Pixels of the page, and pictures in a second."""
-COLORS = 128
+COLORS = 255
 PLAN = (
     *((0.0, (0.0, 0.15, -0.5)), (0.5, (0.0, 0.15, -0.5)), (1.7, (0.28, 0.05, -0.42)), (3.7, (0.28, 0.05, -0.42))),
     *((4.9, (-0.18, -0.22, -0.46)), (7.0, (-0.18, -0.22, -0.46)), (8.2, (0.0, 0.15, -0.5)), (10.0, (0.0, 0.15, -0.5))),
@@ -96,6 +96,19 @@ def pictures(driver: Any, follower: Follower) -> Iterator[Image.Image]:
         yield Image.open(io.BytesIO(driver.get_screenshot_as_png())).convert("RGB")
 
 
+def colored(taken: list[Image.Image]) -> list[Image.Image]:
+    """The pictures in one palette, made of where the arm is, which is a small part of them."""
+    width, height = taken[0].size
+    parts = [picture.crop((0, 0, round(0.68 * width), round(0.75 * height))) for picture in taken[::6]]
+    sheet = np.concatenate([np.asarray(part).reshape(-1, 3) for part in parts])
+    sheet = sheet[sheet.max(-1) - sheet.min(-1) > 24]  # what is coloured
+    sheet = np.concatenate(
+        (sheet, np.asarray(taken[-1]).reshape(-1, 3)[:: max(width * height // (len(sheet) or 1), 1)])
+    )
+    palette = Image.fromarray(sheet[None]).quantize(COLORS, method=Image.Quantize.MAXCOVERAGE)
+    return [picture.quantize(palette=palette, dither=Image.Dither.NONE) for picture in taken]
+
+
 def main() -> None:
     """Writes the film."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -113,8 +126,9 @@ def main() -> None:
         for mark in driver.find_elements("css selector", ".mantine-Notification-closeButton"):
             mark.click()  # that there is no graphics card
         time.sleep(1.0)
-        film = [picture.quantize(COLORS, dither=Image.Dither.NONE) for picture in pictures(driver, follower)]
+        taken = list(pictures(driver, follower))
     driver.quit()
+    film = colored(taken)
     content = io.BytesIO()
     film[0].save(content, "GIF", save_all=True, append_images=film[1:], duration=1000 // RATE, loop=0, optimize=True)
     write_atomically(out, content.getvalue())

@@ -128,7 +128,9 @@ def of_log(log: RobotLog, name: str) -> Recorded:
     poses = np.where(seen[..., None, None], frames["poses"].reshape(len(steps), -1, 4, 4), np.nan)
     tendons = _at(ticks, log.rows(layouts.tendons, "tick", "effort"))["effort"]
     backbone = build.backbone()
-    pi_hat = _row(steps["pi_hat"])
+    # q_bar belongs to the rest lengths before the step, and the log has those after it.
+    first = log.rows(layouts.start, "pi_hat")["pi_hat"][:1]
+    pi_hat = _row(np.concatenate((first, steps["pi_hat"][:-1])))
     return Recorded(
         name=name,
         size=DrawnSize.of(build.arm),

@@ -136,7 +136,7 @@ class Follower:
         x, y, z = 1e3 * pursuit.target
         numbers = {
             "time": f"{pursuit.time:.1f} s",
-            "speed": "paused" if self.paused else f"{self.rate:.2f} of real time",
+            **({"speed": "paused" if self.paused else f"{self.rate:.2f} of real time"} if self.rate else {}),
             "error of the tip": "it left all bounds: reset" if pursuit.diverged else f"{1e3 * pursuit.error:.1f} mm",
             "target": f"{x:.0f}, {y:.0f}, {z:.0f} mm",
             "believed lengths": ", ".join(f"{1e3 * v:.0f}" for v in pursuit.pi_hat) + " mm",

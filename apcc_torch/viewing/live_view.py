@@ -24,7 +24,7 @@ import torch
 from numpy.typing import NDArray
 
 from apcc_torch.errors import ApccError, ConfigError
-from apcc_torch.hardware.control import Decision, Start
+from apcc_torch.hardware.control import Start
 from apcc_torch.hardware.records import Event, Tick
 from apcc_torch.hardware.stop_request import SIGNALS
 from apcc_torch.plain_text import for_terminal, plain_logger
@@ -102,7 +102,8 @@ class LiveView:
             raise ConfigError(EXTRA.format(name="viser"))
         self.watched, self.address = watched, address
         self.tick: Tick | None = None
-        self.decided: Tick | None = None
+        self.decided: tuple[Tick, Array] | None = None
+        self.pi_hat: Array | None = None
         self.event: Event | None = None
         self.copies = 0
 
@@ -113,7 +114,9 @@ class LiveView:
         """Keeps the turn for the next copy."""
         self.tick = tick
         if tick.decision is not None:
-            self.decided = tick
+            # q_bar belongs to the rest lengths before the step.
+            self.decided = tick, tick.decision.pi_hat if self.pi_hat is None else self.pi_hat
+            self.pi_hat = tick.decision.pi_hat
 
     def on_event(self, event: Event) -> None:
         """Keeps the event for the next copy."""
@@ -169,17 +172,18 @@ class LiveView:
                 self.sample["time"], self.sample["overruns"] = tick.time, tick.overruns
                 if tick.reading is not None:
                     self.sample["effort"] = tick.reading.effort
-            if decided is not None and decided.decision is not None:
-                _write(self.sample, decided, decided.decision)
+            if decided is not None:
+                _write(self.sample, *decided)
                 self.copies += 1
                 self.sample["count"] = self.copies
         finally:
             self.lock.release()
 
 
-def _write(sample: NDArray[np.void], tick: Tick, decision: Decision) -> None:
-    for name in ("q_bar", "pi_hat", "x_d", "e"):
-        sample[name] = getattr(decision, name)
+def _write(sample: NDArray[np.void], tick: Tick, pi_hat: Array) -> None:
+    sample["pi_hat"] = pi_hat
+    for name in ("q_bar", "x_d", "e"):
+        sample[name] = getattr(tick.decision, name)
     frame = tick.frame
     if frame is not None:
         seen = frame.position_ok & frame.orientation_ok

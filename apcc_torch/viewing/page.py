@@ -59,7 +59,7 @@ class Page:
         scene.set_up_direction("+z")
         middle = 0.55 * length if upward else -0.55 * length
         camera = self.server.initial_camera
-        camera.position = (1.1 * length, -1.65 * length, middle + 0.3 * length)
+        camera.position = (0.98 * length, -1.47 * length, middle + 0.25 * length)
         camera.look_at = (0.0, 0.0, middle)
         camera.fov, camera.near, camera.far = FIELD_OF_VIEW, 0.01 * length, 60.0 * length
         if self.address.host in EVERYWHERE:

@@ -34,9 +34,6 @@ class Player:
     def __init__(self, page: Page, run: Recorded, row: int = 0) -> None:
         self.page, self.run_shown, self.row = page, run, row
         self.scene = Scene(page, *run.size)
-        if run.tension is not None:
-            high = float(np.nanquantile(run.tension.numpy(), 0.98))  # a jerk would leave the rest pale
-            self.scene.full_tension = max(high, 1e-3)
         self.playing = False
         self.changed = threading.Event()
         self.changed.set()

@@ -84,8 +84,9 @@ class Pursuit:
             self.now: LoopState = self.loop.start(self.rest, self.first_estimate)
             self.steps = 0
             self.zero = torch.zeros((), dtype=self.first_estimate.dtype)
-            self.u = torch.zeros_like(self.now.y)
-            self.x = self.plant.backbone.tip(self.now.plant.arm.q, self.plant.dynamics.lengths)
+            self.q, self.u = self.now.plant.arm.q, torch.zeros_like(self.now.y)
+            self.x = self.plant.backbone.tip(self.q, self.plant.dynamics.lengths)
+            self.q_bar, self.lengths = self._state.q_bar, self._state.pi_hat
 
     def step(self) -> None:
         """One control period."""
@@ -93,7 +94,8 @@ class Pursuit:
             draws = self.loop.sensors.draw(self.now.sensors.queue[..., 0, :, :, :], self.generator)
             time, k = self.zero + self.time, torch.tensor(self.steps)
             self.now, row = self.step_loop(self.now, time, k, draws)
-            self.x, self.u = row[1], row[-1]
+            # As the loop's log has them: q_bar belongs to the rest lengths before the step.
+            self.x, self.q, self.q_bar, self.lengths, self.u = row[1], row[2], row[3], row[5], row[-1]
         self.steps += 1
 
     @property
@@ -114,7 +116,7 @@ class Pursuit:
     @property
     def pi_hat(self) -> Array:
         """(n_b,) m, the estimates."""
-        pi_hat: Array = self._state.pi_hat[0].numpy()
+        pi_hat: Array = self.lengths.expand_as(self._state.pi_hat)[0].numpy()
         return pi_hat
 
     @property
@@ -124,19 +126,17 @@ class Pursuit:
         return tension
 
     def moment(self) -> Moment:
-        """The arm now."""
+        """The arm at its last step."""
         with torch.inference_mode():
-            q = self.now.plant.arm.q[0]
-            sections, tendons = self.true(q, self.plant.dynamics.lengths)
-            T = self.loop.poses(self.now.plant.arm.q)
-            state = self._state
+            sections, tendons = self.true(self.q[0], self.plant.dynamics.lengths)
+            T = self.loop.poses(self.q)
             return Moment(
                 sections,
                 tendons,
                 self.tension,
                 T[0].numpy(),
                 self._covariance(T),
-                self.model.centre_line(state.q_bar[0], state.pi_hat[0]),
+                self.model.centre_line(self.q_bar[0], torch.from_numpy(self.pi_hat)),
                 self.target,
             )
 

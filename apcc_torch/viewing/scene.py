@@ -18,8 +18,6 @@ ARM_OPACITY = 0.42
 """Of the arm's tube, so that the model in it is seen."""
 LINEAR = 2.2
 """Exponent that makes a colour one of light, which is how lines take theirs."""
-FULL_TENSION = 15.0
-"""N that is drawn as tight, and what is above, where it is not told."""
 
 
 class Scene:
@@ -30,18 +28,21 @@ class Scene:
         length: Of the arm, m.
         radius: Of its tube, m.
         upward: Whether it stands; else it hangs.
+        full_tension: Tension of a tendon that is drawn as tight, N.
 
     Attributes:
-        full_tension: N that is drawn as tight. enlarged: How many standard deviations an ellipsoid's axes are.
+        enlarged: How many standard deviations an ellipsoid's axes are.
     """
 
-    def __init__(self, page: Page, length: float, radius: float, upward: bool = False) -> None:
+    def __init__(
+        self, page: Page, length: float, radius: float, upward: bool = False, full_tension: float = 1.0
+    ) -> None:
         self.scene = page.server.scene
         self.server = page.server
         self.length, self.radius = length, radius
         self.nodes: dict[str, Any] = {}
         self.visible = dict.fromkeys(LAYERS, True)
-        self.full_tension = FULL_TENSION
+        self.full_tension = full_tension
         self.enlarged = 30.0
         self._ball = _ball()
         self._draw_room(upward)

@@ -94,7 +94,7 @@ def text(browser: Any) -> str:
     return str(browser.execute_script("return document.body.innerText"))
 
 
-def pixel(page: Page, place: np.ndarray) -> tuple[int, int]:
+def pixel(browser: Any, page: Page, place: np.ndarray) -> tuple[int, int]:
     """Where a place (3,) m is in the only client's picture."""
     camera = next(iter(page.server.get_clients().values())).camera
     w, x, y, z = camera.wxyz
@@ -106,11 +106,11 @@ def pixel(page: Page, place: np.ndarray) -> tuple[int, int]:
         ]
     )
     right, down, ahead = R.T @ (place - camera.position)
-    scale = 0.5 * camera.image_height / np.tan(0.5 * camera.fov)
-    return (
-        round(0.5 * camera.image_width + scale * right / ahead),
-        round(0.5 * camera.image_height + scale * down / ahead),
+    width, height = browser.execute_script(
+        "const box = document.querySelector('canvas').getBoundingClientRect(); return [box.width, box.height]"
     )
+    scale = 0.5 * height / np.tan(0.5 * camera.fov)
+    return round(0.5 * width + scale * right / ahead), round(0.5 * height + scale * down / ahead)
 
 
 def test_the_arm_follows_a_target_that_the_mouse_drags(browser: Any) -> None:
@@ -123,7 +123,7 @@ def test_the_arm_follows_a_target_that_the_mouse_drags(browser: Any) -> None:
         assert "payload" in text(browser) and "error of the tip" in text(browser)
         first = pursuit.target
         handle = first + np.array([0.13 * size.length, 0.0, 0.0])  # on the arrow of x
-        (x, y), (to_x, to_y) = pixel(page, handle), pixel(page, handle + np.array([0.08, 0.0, 0.0]))
+        (x, y), (to_x, to_y) = pixel(browser, page, handle), pixel(browser, page, handle + np.array([0.08, 0.0, 0.0]))
         mouse = actions.ActionChains(browser, duration=100)
         mouse.w3c_actions.pointer_action.move_to_location(x, y).pointer_down()
         mouse.w3c_actions.pointer_action.move_to_location((x + to_x) // 2, (y + to_y) // 2)
