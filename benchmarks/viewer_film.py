@@ -102,9 +102,7 @@ def colored(taken: list[Image.Image]) -> list[Image.Image]:
     parts = [picture.crop((0, 0, round(0.68 * width), round(0.75 * height))) for picture in taken[::6]]
     sheet = np.concatenate([np.asarray(part).reshape(-1, 3) for part in parts])
     sheet = sheet[sheet.max(-1) - sheet.min(-1) > 24]  # what is coloured
-    sheet = np.concatenate(
-        (sheet, np.asarray(taken[-1]).reshape(-1, 3)[:: max(width * height // (len(sheet) or 1), 1)])
-    )
+    sheet = np.concatenate((sheet, np.asarray(taken[-1]).reshape(-1, 3)))
     palette = Image.fromarray(sheet[None]).quantize(COLORS, method=Image.Quantize.MAXCOVERAGE)
     return [picture.quantize(palette=palette, dither=Image.Dither.NONE) for picture in taken]
 
