@@ -155,6 +155,7 @@ class LiveView:
         self.sample["over"] = 1
         self.process.join(WAIT)
         self.process.kill()
+        self.process.join()
 
     def _copy_on(self) -> None:
         while not self.closed.wait(FRAME):
@@ -228,7 +229,7 @@ def serve(
     except ApccError as error:
         ready.send(str(error))
         return
-    with page, torch.inference_mode():
+    with torch.inference_mode():
         shown = LivePage(page, watched)
         ready.send("")
         sample = _sample(memory, watched)
@@ -239,6 +240,8 @@ def serve(
                 now = sample.copy()
             ended = bool(now["over"])
             shown.show(now)
+    time.sleep(FRAME)  # until it has been sent
+    os._exit(0)  # at once: to take leave of every browser may take seconds
 
 
 class LivePage:

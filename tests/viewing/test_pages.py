@@ -187,7 +187,7 @@ def test_an_environment_is_shown_to_a_person(browser: Any) -> None:
     window = batch.batch.window()
     assert isinstance(window, EnvWindow) and window.page is not None
     opened(browser, window.page, GREEN, ORANGE)
-    before = window.scene.nodes["arm/2"].vertices
+    before = window.scene.nodes["arm/2"].vertices.copy()
     for _ in range(6):
         env.step(np.ones(9, dtype=np.float32))
     assert np.abs(window.scene.nodes["arm/2"].vertices - before).max() > 1e-3
