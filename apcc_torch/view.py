@@ -37,7 +37,7 @@ WHAT is one of
 An arm takes KEY=VALUE as python -m apcc_torch.simulate experiment=setpoint does, --help there lists them. Its loop is
 built as machine code when it is first viewed, which takes about half a minute, and kept; compile=off goes without.
 
-Sections are transparent, each in a colour of its own; the blue line within is the controller's model. Red collars are
+Sections are transparent, each in a colour of its own; the dark line within is the controller's model. Red collars are
 sensors, purple ellipsoids where they may be, as far as is known, enlarged; tendons redden as they tighten.
 The page is served to this machine alone; --host 0.0.0.0 serves it to all who reach it, and they may use its controls.
 Ctrl-C ends it.
