@@ -57,7 +57,7 @@ class Page:
         gui.configure_theme(control_width="medium", show_logo=False, show_share_button=False, brand_color=BRAND)
         gui.main_panel.dock_right()
         scene.set_up_direction("+z")
-        middle = 0.55 * length if upward else -0.55 * length
+        middle = 0.5 * length if upward else -0.5 * length
         camera = self.server.initial_camera
         camera.position = (0.98 * length, -1.47 * length, middle + 0.25 * length)
         camera.look_at = (0.0, 0.0, middle)
