@@ -83,8 +83,10 @@ def show_arm(given: argparse.Namespace, address: WebAddress, over: threading.Eve
     words = [f"experiment={EXPERIMENT}", f"arm={given.what}", "compile=auto", *given.changes]
     settings = compose(*words).settings
     sys.stderr.write(for_terminal(f"{given.what}: its loop is built, which may take half a minute the first time\n"))
-    pursuit = Pursuit(settings)
-    with Page(address, arm.name, *_camera(DrawnSize.of(settings.arm))) as page:
+    pursuit, size = Pursuit(settings), DrawnSize.of(settings.arm)
+    if size.upward and not any(word.startswith("experiment.setpoints") for word in given.changes):
+        pursuit.target = pursuit.target * (1.0, 1.0, -1.0)  # the preset's is below the base
+    with Page(address, arm.name, *_camera(size)) as page:
         follower = Follower(page, pursuit)
         tell(page, "drag the green target")
         follower.run(over)
