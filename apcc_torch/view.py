@@ -82,7 +82,10 @@ def show_arm(given: argparse.Namespace, address: WebAddress, over: threading.Eve
     arm = Arm.load(given.what)
     words = [f"experiment={EXPERIMENT}", f"arm={given.what}", "compile=auto", *given.changes]
     settings = compose(*words).settings
-    sys.stderr.write(for_terminal(f"{given.what}: its loop is built, which may take half a minute the first time\n"))
+    if settings.compile != "off":
+        sys.stderr.write(
+            for_terminal(f"{given.what}: its loop is built, which may take half a minute the first time\n")
+        )
     pursuit, size = Pursuit(settings), DrawnSize.of(settings.arm)
     if size.upward and not any(word.startswith("experiment.setpoints") for word in given.changes):
         pursuit.target = pursuit.target * (1.0, 1.0, -1.0)  # the preset's is below the base
