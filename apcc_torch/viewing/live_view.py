@@ -33,7 +33,7 @@ from apcc_torch.viewing.drawn_size import DrawnSize
 from apcc_torch.viewing.moment import Array, Moment
 from apcc_torch.viewing.outline import Outline
 from apcc_torch.viewing.page import EXTRA, Page
-from apcc_torch.viewing.panel import Panel
+from apcc_torch.viewing.panel import MODELLED_ARM, Panel
 from apcc_torch.viewing.scene import Scene
 from apcc_torch.web_address import WebAddress
 
@@ -258,17 +258,22 @@ class LivePage:
         self.panel = Panel(page, self.scene, watched.outline.sections)
         self.panel.tell({"state": "connecting"})
         self.panel.draw_error(np.zeros(0), np.zeros(0))
-        self.panel.add_layers(LAYERS)
+        self.panel.add_layers(LAYERS, MODELLED_ARM)
         self.times: deque[float] = deque()
         self.errors: deque[float] = deque()
         self.told = -TOLD
+        self.last, self.untold = b"", False
 
     def show(self, sample: NDArray[np.void]) -> None:
-        """Shows a sample."""
-        if sample["count"]:
+        """Shows a sample, if it is another one than the last."""
+        now, seen = time.monotonic(), sample.tobytes()
+        due = now >= self.told + TOLD
+        if seen == self.last and not (due and self.untold):
+            return
+        if seen != self.last and sample["count"]:
             self.scene.show(self._moment(sample))
-        now = time.monotonic()
-        if now < self.told + TOLD and sample["state"] != b"disarmed":
+        self.last, self.untold = seen, not due
+        if not due:
             return
         self.told = now
         state, message = (sample[name].item().decode() for name in ("state", "message"))

@@ -23,6 +23,8 @@ MARK = (
     '<span style="display:inline-block;width:0.9em;height:0.9em;border-radius:{round};background:{color};'
     'vertical-align:-0.1em;margin-right:0.5em"></span>'
 )
+TRUE_ARM, MODELLED_ARM = "the arm's sections", "the arm, as its controller has it"
+"""What the tube may be."""
 
 
 class Panel:
@@ -79,10 +81,10 @@ class Panel:
             height=160,
         )
 
-    def add_layers(self, shown: tuple[str, ...] = LAYERS) -> None:
-        """The legend, and a box to tick for each layer that is there."""
+    def add_layers(self, shown: tuple[str, ...] = LAYERS, arm: str = TRUE_ARM) -> None:
+        """The legend, and a box to tick for each layer that is there; `arm` says what the tube is."""
         with self.gui.add_folder("What is shown", expand_by_default=True):
-            self.gui.add_html(BOX.format(content=self._legend(shown)))
+            self.gui.add_html(BOX.format(content=self._legend(shown, arm)))
             for layer in shown:
                 box = self.gui.add_checkbox(layer, initial_value=True)
                 box.on_update(self._hiding(layer))
@@ -95,9 +97,9 @@ class Panel:
     def _hiding(self, layer: str) -> Callable[[Any], None]:
         return lambda event: self.scene.hide(layer, bool(event.target.value))
 
-    def _legend(self, shown: tuple[str, ...]) -> str:
+    def _legend(self, shown: tuple[str, ...], arm: str) -> str:
         colors = [style.SERIES[i % len(style.SERIES)] for i in range(self.sections)]
-        lines = ["".join(self._mark(color) for color in colors) + "the arm's sections"]
+        lines = ["".join(self._mark(color) for color in colors) + arm]
         if "model" in shown:
             lines.append(self._mark(style.INK) + "the controller's model of it")
         if "sensors" in shown:

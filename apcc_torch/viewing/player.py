@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import threading
 import time
+from typing import Any
 
 import numpy as np
 
 from apcc_torch.viewing.page import Page
-from apcc_torch.viewing.panel import Panel
+from apcc_torch.viewing.panel import MODELLED_ARM, TRUE_ARM, Panel
 from apcc_torch.viewing.recorded import Recorded
 from apcc_torch.viewing.scene import LAYERS, Scene
 
 FRAME = 0.04
 """s between two pictures."""
+TOLD = 0.2
+"""s between two readings of the numbers and the plot while time goes on."""
 SPEEDS = ("0.25", "0.5", "1", "2", "5")
 PLOTTED = 600
 """Most instants that the plot shows."""
@@ -28,19 +31,20 @@ class Player:
         row: Which row first.
 
     Attributes:
-        playing: Whether time goes on. slider: Of the time, s.
+        playing: Whether time goes on. time: s, that is shown. end: s, of the run.
     """
 
     def __init__(self, page: Page, run: Recorded, row: int = 0) -> None:
         self.page, self.run_shown, self.row = page, run, row
         self.scene = Scene(page, *run.size)
         self.playing = False
+        self.time, self.end = float(run.time[0]), float(run.time[-1])
         self.changed = threading.Event()
         self.changed.set()
         self.panel = Panel(page, self.scene, run.sections)
         self._add_controls()
         self._show()
-        self.panel.add_layers(self._layers())
+        self.panel.add_layers(self._layers(), MODELLED_ARM if run.model is None else TRUE_ARM)
 
     def _layers(self) -> tuple[str, ...]:
         has = {
@@ -53,22 +57,27 @@ class Player:
 
     def _add_controls(self) -> None:
         gui, run = self.page.server.gui, self.run_shown
-        begin, end = float(run.time[0]), float(run.time[-1])
+        begin, end = self.time, self.end
         self.play = gui.add_button("Play")
         self.play.on_click(lambda _: self._toggle())
         step = max((end - begin) / max(len(run.time) - 1, 1), 1e-4)
         self.slider = gui.add_slider("time (s)", begin, max(end, begin + step), step, begin)
-        self.slider.on_update(lambda _: self.changed.set())
+        self.slider.on_update(self._move)
         self.speed = gui.add_dropdown("speed", SPEEDS, initial_value="1", hint="times real time")
         if len(run.rows) > 1:
             rows = gui.add_number("row", self.row, min=0, max=len(run.rows) - 1, step=1, hint="of the run's rows")
             rows.on_update(lambda _: self._choose(int(rows.value)))
 
     def _toggle(self) -> None:
-        if not self.playing and self.slider.value >= self.slider.max:
-            self.slider.value = self.slider.min
+        if not self.playing and self.time >= self.end:
+            self.time = float(self.run_shown.time[0])
         self.playing = not self.playing
         self.play.label = "Pause" if self.playing else "Play"
+
+    def _move(self, event: Any) -> None:
+        if event.client is not None:  # a person moved it, and not the time that goes on
+            self.time = float(self.slider.value)
+            self.changed.set()
 
     def _choose(self, row: int) -> None:
         self.row = row
@@ -76,15 +85,19 @@ class Player:
 
     def run(self, over: threading.Event) -> None:
         """Shows what the controls ask for, until it is over."""
-        before = time.monotonic()
+        before = told = time.monotonic()
         while not over.wait(FRAME):
             now = time.monotonic()
             if self.playing:
-                later = self.slider.value + float(self.speed.value) * (now - before)
-                self.slider.value = min(later, self.slider.max)
-                if later >= self.slider.max:
+                self.time = min(self.time + float(self.speed.value) * (now - before), self.end)
+                if self.time >= self.end:
                     self._toggle()
-                self.changed.set()
+                    told = now
+                self.scene.show(self.run_shown.moment(self.run_shown.nearest(self.time), self.row))
+                if now >= told:
+                    told = now + TOLD
+                    self.slider.value = self.time
+                    self.changed.set()
             before = now
             if self.changed.is_set():
                 self.changed.clear()
@@ -92,7 +105,7 @@ class Player:
 
     def _show(self) -> None:
         run, row = self.run_shown, self.row
-        k = run.nearest(float(self.slider.value))
+        k = run.nearest(self.time)
         moment = run.moment(k, row)
         self.scene.show(moment)
         x, y, z = 1e3 * run.x_d[k, row].numpy()
