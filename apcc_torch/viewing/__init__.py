@@ -6,7 +6,7 @@ tube           a mesh around a curve
 scene          what stands in space, on a page
 panel          what is told beside it
 page           the page itself, with viser
-simulated_arm  an arm under its controller, in steps
+pursuit        an arm under its controller, in steps
 follower       that arm in real time, after a target that can be dragged
 recorded       a finished run's moments
 player         them, under a time slider
