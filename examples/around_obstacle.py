@@ -1,7 +1,7 @@
 """The arm reaches a point beside a ball and bends around it: `python examples/around_obstacle.py`.
 
 The same reach twice, without and with the clearance cost in the null space of the tip's task. Prints the smallest
-distance of the arm's surface from the ball and writes docs/images/around_obstacle.png; `--quick` draws nothing.
+distance of the arm's surface from the ball and writes runs/around_obstacle.png; `--quick` draws nothing.
 """
 
 from __future__ import annotations
@@ -93,7 +93,7 @@ def main() -> None:
             low, end = 1e3 * float(gaps[name].min()), 1e3 * float(gaps[name][-1])
             print(f"{name:22s} clearance: least {low:6.1f} mm, at the end {end:6.1f} mm; tip error {miss:.3f} mm")
     if not quick:
-        print(draw(backbone, ways, gaps, Path(__file__).parent.parent / "docs" / "images" / "around_obstacle.png"))
+        print(draw(backbone, ways, gaps, Path("runs") / "around_obstacle.png"))
 
 
 if __name__ == "__main__":

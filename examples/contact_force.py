@@ -5,7 +5,7 @@ pushes the arm at a place that nobody told: the force is estimated for every pla
 of forces leaves least. The true arm has six sections and more, the model three, whose curvature varies along them. What
 the unloaded arm shows in the same posture is taken off first, as a scale is tared.
 
-Prints truth and estimate, and writes docs/images/contact_force.png; `--quick` draws nothing. Try `--place 0.1`: near
+Prints truth and estimate, and writes runs/contact_force.png; `--quick` draws nothing. Try `--place 0.1`: near
 the base a force moves little, and the interval says so; or `--force 0.2`, which the noise hides.
 """
 
@@ -165,7 +165,7 @@ def main() -> None:
     print(f"force        true {_listed(force)} N, estimated {_listed(found.estimate.value)} N, error {error:.2f} N")
     print(f"evidence     chi-square {float(found.evidence):.0f} for a contact, {float(found.gain):.0f} against the tip")
     if not options.quick:
-        folder = Path(__file__).parent.parent / "docs" / "images"
+        folder = Path("runs")
         print(draw(arm, options.place, force, found, (X, misfit), folder / "contact_force.png"))
 
 

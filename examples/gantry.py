@@ -2,7 +2,7 @@
 
 The whole body has 13 coordinates: two rails, a lift, a turntable and three soft sections. The tip follows a wave 1.8 m
 long, twice: with the rails as cheap to move as the arm, and with rails that cost more. Near the ends the x rail stops
-at its limit and the arm reaches on. Prints errors and who moved, and writes docs/images/gantry.png; `--quick` takes
+at its limit and the arm reaches on. Prints errors and who moved, and writes runs/gantry.png; `--quick` takes
 larger steps and draws nothing.
 """
 
@@ -132,7 +132,7 @@ def main() -> None:
         for name, way in ways.items():
             print(report(body, name, way))
         if not quick:
-            print(draw(body, ways, Path(__file__).parent.parent / "docs" / "images" / "gantry.png"))
+            print(draw(body, ways, Path("runs") / "gantry.png"))
 
 
 if __name__ == "__main__":

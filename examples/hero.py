@@ -1,4 +1,4 @@
-"""Draws the README's picture: `python examples/hero.py` writes docs/images/hero.png.
+"""Draws the README's picture: `python examples/hero.py` writes runs/hero.png.
 
 Section V-A twice, with the adaptive and with the standard controller, both starting from the same wrong rest lengths.
 """
@@ -82,7 +82,7 @@ def main() -> None:
         {name: shape_error(log) for name, log in logs.items()},
         path=arm.x_d,
     )
-    print(save_figure(figure, Path(__file__).parent.parent / "docs" / "images" / "hero.png", dpi=110))
+    print(save_figure(figure, Path("runs") / "hero.png", dpi=110))
 
 
 def _places(lengths: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:

@@ -2,7 +2,7 @@
 
 Section V-A with a level circle, three times: position alone, position and "point straight down", position and a whole
 orientation. The rest lengths are wrong at first, and the law learns them from the tip's position in all three.
-Prints the errors and writes docs/images/orientation_task.png; `--quick` runs 2 s and draws nothing.
+Prints the errors and writes runs/orientation_task.png; `--quick` runs 2 s and draws nothing.
 """
 
 from __future__ import annotations
@@ -123,7 +123,7 @@ def main() -> None:
         gap = 1e3 * float((log.pi_hat[-1] - TRUE).abs().max())
         print(f"{name:26s} {late['position_mm']:13.2f} {late['tilt_deg']:11.2f} {late['turn_deg']:11.2f} {gap:18.1f}")
     if not quick:
-        print(draw(backbone, logs, Path(__file__).parent.parent / "docs" / "images" / "orientation_task.png"))
+        print(draw(backbone, logs, Path("runs") / "orientation_task.png"))
 
 
 if __name__ == "__main__":

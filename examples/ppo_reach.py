@@ -2,32 +2,22 @@
 
 The arm is the dynamic one, the payload random and not observed. Everything stays in torch: 512 arms step as one batch,
 and the learner is about a hundred lines. At the end the policy is compared with doing nothing and with random actions,
-on episodes that it never saw, and the learning curve is written to docs/images/ppo_reach.png.
+on episodes that it never saw, and the learning curve is written to runs/ppo_reach.png.
 """
 
 from __future__ import annotations
 
 import argparse
 import time
-from collections.abc import Callable
-from pathlib import Path
 from typing import NamedTuple
 
 import gymnasium
 import torch
+from reaching import EPISODE, Curve, conclude, judged, made, options
 from torch import Tensor, nn
-
-import apcc_torch.envs
-from apcc_torch.report import style
-
-gymnasium.register_envs(apcc_torch.envs)
 
 GAMMA, LAMBDA, CLIP, ENTROPY, VALUE = 0.96, 0.95, 0.2, 0.0, 0.5
 EPOCHS, MINIBATCHES, LEARNING_RATE = 6, 8, 1e-3
-RATE, EPISODE = 20, 60
-"""The policy acts 20 times a second, over 3 s: the arm answers slowly, and noise at 100 Hz would not move it."""
-LATE = 10
-"""Steps at the end of an episode over which the error that remains is averaged."""
 
 
 class Agent(nn.Module):
@@ -138,67 +128,19 @@ def improve(agent: Agent, optimizer: torch.optim.Optimizer, rollout: Rollout) ->
             optimizer.step()
 
 
-class Score(NamedTuple):
-    """Means over episodes: the return, the error over the last `LATE` steps in mm, and the share of those in 10 mm."""
-
-    episode: float
-    error_mm: float
-    success: float
-
-    def __str__(self) -> str:
-        """A line of the table."""
-        return f"return {self.episode:8.1f}   error {self.error_mm:6.1f} mm   within 10 mm {self.success:6.1%}"
-
-
-def evaluate(settings: dict[str, object], act: Callable[[Tensor], Tensor], rows: int = 512) -> Score:
-    """One episode of rows that training never saw."""
-    envs = gymnasium.make_vec("apcc/Reach-v0", num_envs=rows, **settings)
-    observation, _ = envs.reset(seed=1_000_003)
-    total, error, success = torch.zeros(rows), [], []
-    for _ in range(EPISODE - 1):
-        observation, reward, _, _, info = envs.step(act(observation))
-        total += reward
-        error.append(info["error"])
-        success.append(info["is_success"].float())
-    return Score(
-        float(total.mean()), 1e3 * float(torch.stack(error[-LATE:]).mean()), float(torch.stack(success[-LATE:]).mean())
-    )
-
-
-def draw(curve: list[tuple[int, Score]], baselines: dict[str, Score], path: Path) -> None:
-    """The learning curve beside the baselines."""
-    figure = style.new_figure(9.0, 4.2)
-    axes = figure.subplots(1, 2)
-    steps = [1e-6 * step for step, _ in curve]
-    for ax, field, label in zip(
-        axes, ("episode", "error_mm"), ("return of an episode", "error at the end (mm)"), strict=True
-    ):
-        style.dress(ax, "environment steps (millions)", label)
-        ax.plot(steps, [getattr(score, field) for _, score in curve], color=style.BLUE, linewidth=2.4, label="PPO")
-        for (name, score), color, dash in zip(
-            baselines.items(), (style.VERMILION, style.MUTED), style.DASHES[1:], strict=False
-        ):
-            ax.axhline(getattr(score, field), color=color, linestyle=dash, linewidth=1.8, label=name)
-        ax.set_xlim(0.0, steps[-1])
-    style.from_zero(axes[1])
-    style.legend(axes[1], loc="center right")
-    print(style.save_figure(figure, path, dpi=110))
-
-
-def learn(settings: dict[str, object], options: argparse.Namespace) -> list[tuple[int, Score]]:
+def learn(given: argparse.Namespace) -> Curve:
     """Trains an agent; its scores on the way, each with the environment steps up to then."""
-    envs = gymnasium.make_vec("apcc/Reach-v0", num_envs=options.envs, autoreset_mode="SAME_STEP", **settings)
-    observation, _ = envs.reset(seed=options.seed)
+    envs = made(given, given.envs, autoreset_mode="SAME_STEP")
+    observation, _ = envs.reset(seed=given.seed)
     agent = Agent(envs.single_observation_space.shape[0], envs.single_action_space.shape[0])
     optimizer = torch.optim.Adam(agent.parameters(), lr=LEARNING_RATE, eps=1e-5)
-    rounds = max(1, options.steps // (options.envs * EPISODE))
+    rounds = max(1, given.steps // (given.envs * EPISODE))
     every = max(1, rounds // 12)
 
-    @torch.no_grad()
     def learnt(seen: Tensor) -> Tensor:
         return agent.policy(agent.scaled(seen))
 
-    curve = [(0, evaluate(settings, learnt))]
+    curve = [(0, judged(given, learnt))]
     started = time.perf_counter()
     for update in range(1, rounds + 1):
         optimizer.param_groups[0]["lr"] = LEARNING_RATE * (1.0 - (update - 1) / rounds)
@@ -206,37 +148,15 @@ def learn(settings: dict[str, object], options: argparse.Namespace) -> list[tupl
         rollout, observation = collect(envs, agent, observation, EPISODE)
         improve(agent, optimizer, rollout)
         if update % every == 0 or update == rounds:
-            curve.append((update * options.envs * EPISODE, evaluate(settings, learnt)))
+            curve.append((update * given.envs * EPISODE, judged(given, learnt)))
             print(f"{curve[-1][0]:>9} steps {time.perf_counter() - started:5.0f} s   {curve[-1][1]}", flush=True)
     return curve
 
 
 def main() -> None:
     """Learns, compares and draws."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--dynamics", default="dynamic", help="dynamic or kinematic (default: %(default)s)")
-    parser.add_argument("--action", default="configuration_velocity", help="action mode (default: %(default)s)")
-    parser.add_argument("--steps", type=int, default=1_200_000, help="environment steps (default: %(default)s)")
-    parser.add_argument("--envs", type=int, default=512, help="arms side by side (default: %(default)s)")
-    parser.add_argument("--seed", type=int, default=0, help="of everything random (default: %(default)s)")
-    parser.add_argument("--threads", type=int, default=2, help="torch threads (default: %(default)s)")
-    figure = Path(__file__).parent.parent / "docs" / "images" / "ppo_reach.png"
-    parser.add_argument("--figure", default=str(figure), help="where the curve goes (default: %(default)s)")
-    options = parser.parse_args()
-    torch.set_num_threads(options.threads)
-    torch.manual_seed(options.seed)
-    settings: dict[str, object] = {"dynamics": options.dynamics, "action": options.action, "dtype": "float32"}
-    settings |= {"control_rate": RATE, "plant": {"substeps": 100 // RATE}, "max_episode_steps": EPISODE}
-    size = gymnasium.make_vec("apcc/Reach-v0", **settings).single_action_space.shape[0]
-    chance = torch.Generator().manual_seed(options.seed)
-    baselines = {
-        "no action": evaluate(settings, lambda seen: torch.zeros(len(seen), size)),
-        "random actions": evaluate(settings, lambda seen: 2.0 * torch.rand(len(seen), size, generator=chance) - 1.0),
-    }
-    curve = learn(settings, options)
-    for name, score in [*baselines.items(), ("PPO", curve[-1][1])]:
-        print(f"{name:<24}{score}")
-    draw(curve, baselines, Path(options.figure))
+    given = options(__doc__, "ppo_reach", dynamics="dynamic", steps=1_200_000, envs=512)
+    conclude(given, learn(given), "PPO")
 
 
 if __name__ == "__main__":

@@ -2,7 +2,7 @@
 
 The tip goes round a circle while no tendon may change by more than 25 mm, nor faster than 50 mm/s. Three ways: no
 limits; the finished command cut at the limits; the limits inside the program that chooses the velocity, which then
-finds another shape of the arm for the same tip. Prints the errors and writes docs/images/tendon_limits.png;
+finds another shape of the arm for the same tip. Prints the errors and writes runs/tendon_limits.png;
 `--quick` takes one round instead of two and draws nothing.
 """
 
@@ -118,7 +118,7 @@ def main() -> None:
             f" {100.0 * float((way.status > 0).double().mean()):.0f} % of steps at a limit"
         )
     if not quick:
-        print(draw(ways, Path(__file__).parent.parent / "docs" / "images" / "tendon_limits.png"))
+        print(draw(ways, Path("runs") / "tendon_limits.png"))
 
 
 if __name__ == "__main__":

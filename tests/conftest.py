@@ -29,6 +29,7 @@ LONG = (
     "sweeps/test_stops.py",
     "experiments/test_identification.py",
     "hardware/test_emulated_platform.py",
+    "tests/test_tutorials.py",
 )
 
 settings.register_profile("local", deadline=None, max_examples=30)

@@ -83,7 +83,11 @@ def _of_line(page: Path, line: str, known: dict[str, list[str]]) -> Iterator[Com
                 yield Command(name_of(page), module.removeprefix("apcc_torch."), tuple(arguments))
             case [python, script, *arguments] if python.endswith("python") and script.endswith(".py"):
                 yield Command(name_of(page), script, tuple(arguments))
-            case [script, *arguments] if script.startswith("apcc-"):
+            case (
+                [_, "uvx", "--from", ".", script, *arguments]
+                | [_, "pipx", "run", "--spec", ".", script, *arguments]
+                | [script, *arguments]
+            ) if script.startswith("apcc-"):
                 yield Command(name_of(page), script.removeprefix("apcc-").replace("-", "_"), tuple(arguments))
         words = words[end + 1 :]
 

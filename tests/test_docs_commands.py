@@ -59,6 +59,7 @@ NEEDS = {
     "sweep=optuna": "hydra_plugins.hydra_optuna_sweeper",
     "docs/environments.md 4": "torchrl",
     "docs/environments.md 5": "skrl",
+    "docs/environments.md 6": "minari",
 }
 """What a command holds, or a block -> the package that it cannot do without."""
 
@@ -200,6 +201,7 @@ def test_python_block(block: Block, monkeypatch: pytest.MonkeyPatch, folder: Pat
     if block.name in NEEDS:
         pytest.importorskip(NEEDS[block.name])
     monkeypatch.chdir(place(block.page, folder))
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(folder))
     torch.manual_seed(0)
     exec(compile(block.code, block.name, "exec"), names_in(block.page))
 

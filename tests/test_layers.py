@@ -48,7 +48,7 @@ LAYERS: tuple[tuple[str, ...], ...] = (
     ("experiments",),
     ("paper",),
     ("sweeps",),
-    ("composed", "new_arm", "robot_log", "simulate"),
+    ("composed", "demo", "new_arm", "robot_log", "simulate"),
     ("benchmark", "evaluate", "identify", "report.__main__", "robot", "view"),
 )
 

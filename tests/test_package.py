@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import importlib.metadata
 import os
+import re
 import subprocess
 import sys
 import tomllib
@@ -13,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from matplotlib.image import imread
 
 import apcc_torch
 from apcc_torch import conf_path
@@ -117,12 +119,36 @@ def test_wheel_holds_the_package_and_its_configs(wheel: Path) -> None:
     assert any(name.endswith(".dist-info/licenses/LICENSE") for name in names)
 
 
-def test_wheel_finds_its_own_configs(wheel: Path, tmp_path: Path) -> None:
-    zipfile.ZipFile(wheel).extractall(tmp_path)
-    code = "from apcc_torch.conf_path import conf_path; print(conf_path())"
-    env = os.environ | {"PYTHONPATH": str(tmp_path)}
-    done = subprocess.run(
-        [sys.executable, "-c", code], env=env, cwd=tmp_path, capture_output=True, text=True, check=False
-    )
+@pytest.fixture(scope="module")
+def installed(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The wheel installed into a folder of its own; what it needs is there already."""
+    folder = tmp_path_factory.mktemp("installed")
+    pip = [sys.executable, "-m", "pip", "install", "-q", "--no-deps", "--no-index", "--no-compile"]
+    subprocess.run([*pip, "--target", str(folder), str(wheel)], check=True, capture_output=True)
+    return folder
+
+
+def started_from(folder: Path, cwd: Path, *command: str) -> str:
+    """What a Python command prints that finds the package in `folder` alone."""
+    env = os.environ | {"PYTHONPATH": str(folder)}
+    done = subprocess.run([sys.executable, *command], env=env, cwd=cwd, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
-    assert Path(done.stdout.strip()).resolve() == (tmp_path / "apcc_torch" / "conf").resolve()
+    return done.stdout
+
+
+def test_wheel_finds_its_own_configs(installed: Path, tmp_path: Path) -> None:
+    code = (
+        "import apcc_torch; from apcc_torch.conf_path import conf_path; print(conf_path());"
+        "print(apcc_torch.compose('experiment=dynamic_run_2').settings.experiment.duration)"
+    )
+    folder, duration = started_from(installed, tmp_path, "-c", code).split()
+    assert Path(folder).resolve() == (installed / "apcc_torch" / "conf").resolve()
+    assert float(duration) == 10.0
+
+
+def test_demo_runs_from_the_wheel(installed: Path, tmp_path: Path) -> None:
+    told = started_from(installed, tmp_path, str(installed / "bin" / "apcc-demo"))
+    lengths, tip = (float(number) for number in re.findall(r"within ([\d.]+) mm", told))
+    assert lengths < 5.0 and tip < 1.0
+    assert imread(tmp_path / "runs" / "demo" / "demo.png").std() > 0.05
+    assert told.count("python -m apcc_torch.") == 3

@@ -72,7 +72,7 @@ def load_renderer(names: Mapping[str, str], mode: str, arm: Arm) -> Any:
         made: Any = load_env_creator(names[mode])
         return made(length=length, upward=bool(arm.base_rotation()[2, 2] > 0))
     except ModuleNotFoundError as error:
-        raise ConfigError(f"rendering needs {error.name}: pip install 'apcc-torch[viz]'") from error
+        raise ConfigError(f"rendering needs {error.name}: pip install 'apcc-torch[view]'") from error
 
 
 def picture(
