@@ -74,7 +74,8 @@ def of_motion(settings: EvaluateSettings, say: Say) -> Leaderboard:
 
     calibration = known().calibration
     sessions = [replace(session, frames=session.frames.gated(calibration)) for session in sessions]
-    learned, loads = settings.data.learned, len(sessions) > 1
+    # What is followed is seen before it is scored, in the same file.
+    learned, loads = settings.data.learned, len(sessions) > 1 and not settings.data.validation
     k, turned = sessions[0].frames.positions.shape[1], bool(sessions[0].frames.rotations.isfinite().any())
     tasks = [task for task in tasks_of(k, turned) if loads or not task.online]
     chosen = {name: METHODS[name] for name in settings.methods or METHODS}
