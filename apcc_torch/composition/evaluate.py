@@ -59,7 +59,7 @@ def recordings(settings: EvaluateSettings) -> tuple[list[Session], Frames | None
 
 
 def _folds(settings: EvaluateSettings, series: Series, name: str) -> list[Split]:
-    """What is learned from and what is scored in each fold; of a file for validation all is scored, of the other none."""
+    """What is learned from and what is scored in each fold; of a session for validation all is scored."""
     if settings.data.validation:
         every, none = torch.arange(len(series)), torch.arange(0)
         parts = Split(none, every) if name == settings.data.validation else Split(every, none)

@@ -40,7 +40,7 @@ def quaternion_rotation(quaternion: Tensor) -> Tensor:
 
 
 def rotation_quaternion(rotation: Tensor) -> Tensor:
-    """The unit quaternion (..., 4) x, y, z, w of rotations (..., 3, 3), with w not negative; NaN where one is not finite.
+    """The unit quaternion (..., 4) x, y, z, w of rotations (..., 3, 3), w not negative; NaN where one is not finite.
 
     Example:
         >>> rotation_quaternion(quaternion_rotation(torch.tensor([0.6, 0.0, 0.0, 0.8])))

@@ -1,4 +1,4 @@
-"""Recordings in bags of ROS 1 and ROS 2, MCAP among them: topics of poses are bodies, topics of joints or arrays inputs.
+"""Recordings in bags of ROS 1 and ROS 2, MCAP among them: topics of poses are bodies, of joints or arrays inputs.
 
 Frames are the messages of the first body. Another body is tracked in a frame where it has a message of the same time,
 to half a frame; an input is the last one before it. Times are those of the messages' headers, and where those are
@@ -30,8 +30,10 @@ MOST_MESSAGES = 10**7
 """Most messages that are read."""
 MOST_VALUES = 10**4
 """Most numbers, or poses, of a message."""
-POSES = ("Pose", "PoseStamped", "PoseWithCovarianceStamped", "PoseArray", "PointStamped", "Point", "TransformStamped")
-POSES += ("Odometry", "TFMessage", "Transform")
+POSES = (
+    *("Pose", "PoseStamped", "PoseWithCovarianceStamped", "PoseArray", "PointStamped", "Point"),
+    *("TransformStamped", "Transform", "TFMessage", "Odometry"),
+)
 VALUES = ("JointState", "Float64MultiArray", "Float32MultiArray", "Int32MultiArray", "Float64", "Float32")
 """Kinds of messages, by the last part of their types' names."""
 

@@ -34,9 +34,16 @@ class FramesRead:
             quaternion=self.raw.quaternion[:count],
             tracked=self.raw.tracked[:count],
         )
-        values = {
-            name: value if value is None else value[:count]
-            for name in ("inputs", "actuators", "target", "groups")
-            for value in (getattr(self, name),)
-        }
-        return replace(self, times=self.times[:count], raw=raw, **values)
+
+        def cut(value: Tensor | None) -> Tensor | None:
+            return None if value is None else value[:count]
+
+        return replace(
+            self,
+            times=self.times[:count],
+            raw=raw,
+            inputs=cut(self.inputs),
+            actuators=cut(self.actuators),
+            target=cut(self.target),
+            groups=cut(self.groups),
+        )

@@ -15,7 +15,7 @@ from apcc_torch.recordings.declaration import AXES, METRES, RecordingSettings
 from apcc_torch.recordings.raw_poses import UP, Posed, RawPoses, metres
 
 NEAR, FAR = 0.5, 1.8
-"""Distance of two bodies where the arm is straightest, over what is between them of it, outside of which it is wrong."""
+"""Distance of two bodies where the arm is straightest, over its length between them, outside of which it is wrong."""
 STRAIGHT = 0.9
 """Of the frames, the share that is more bent than those in which an arm counts as straight."""
 ASKEW, RIGHT = math.radians(60.0), math.radians(40.0)
@@ -49,7 +49,7 @@ def check_guess(raw: RawPoses, posed: Posed, settings: RecordingSettings, arm: A
 
 
 def _spacing(position: Tensor, places: Tensor, arm: Arm) -> tuple[Tensor, Tensor]:
-    """Distances (T, n) of every body from the one before it, of a single one from the base, and what the arm says (n,)."""
+    """Distances (T, n) of bodies from the ones before, of a single one from the base, and what the arm says (n,)."""
     beside = torch.linalg.vector_norm(table("mounts", arm.mounts, len(places), 3), dim=-1)
     if len(places) == 1:
         base = torch.tensor(arm.placement.position, dtype=position.dtype)
@@ -104,7 +104,7 @@ def _check_way(position: Tensor, settings: RecordingSettings, arm: Arm, source: 
     if now == "z" and axis == "-z" and turned[axis] <= RIGHT:
         other = "standing" if arm.base == "hanging" else "hanging"
         raise DataError(
-            f"{source}: {points}: write arm.base: {other}, or recording.up: -z, or name the bodies from the base to the tip"
+            f"{source}: {points}: write arm.base: {other}, or recording.up: -z, or name the bodies from base to tip"
         )
     if turned[axis] <= RIGHT:
         raise DataError(f"{source}: {points}: write recording.up: {axis}, or arm.placement.rotation as it is there")

@@ -26,7 +26,7 @@ UP = {
 }
 """The file's axis that points up -> the rotation that turns it to z."""
 MIRRORED = {"x": 2, "y": 2, "z": 1}
-"""The axis that points up -> the one that a left hand's frame has the other way round: z where y is up, y where z is."""
+"""The axis that points up -> the one that a left hand's frame has the other way round."""
 UNIT_TOLERANCE = 1e-2
 """By which a quaternion's length may be off one: files round."""
 

@@ -18,7 +18,7 @@ Bodies are numbered from the base to the tip in the order in which their first c
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 

@@ -20,7 +20,7 @@ from apcc_torch.recordings.recording import Recording
 from apcc_torch.shapes import check_finite, check_positive, check_tensor
 
 _FEWEST = 10  # frames of a rest that is told by stillness
-_NOISE, _STILL = 6.0, 0.01  # of the noise, and of the largest motion: farther is no rest
+_NOISE, _STILL = 3.0, 0.01  # of the noise, and of the largest motion: farther is no rest
 _MOVED = 1e-3  # inputs count as moved when one leaves its first value by this share of its range
 
 
@@ -66,14 +66,15 @@ def still_frame_count(recording: Recording) -> int:
     first = position[:_FEWEST]
     centre = first.nanmedian(0).values
     off = torch.linalg.vector_norm(position - centre, dim=-1)
-    noise = off[:_FEWEST].nanmedian(0).values.nan_to_num(0.0)
+    # Second differences tell noise from motion that is smooth.
+    noise = torch.linalg.vector_norm(first.diff(dim=0).diff(dim=0), dim=-1).nanmedian(0).values.nan_to_num(0.0)
     reach = torch.maximum(_NOISE * noise, _STILL * off.nan_to_num(0.0).amax(0))
     moved = (off > reach).any(-1).nonzero()
     count = int(moved[0]) if len(moved) else len(off)
     if count < _FEWEST:
         raise ValueRangeError(
-            f"rest must be given: {recording.source or 'the recording'} has no inputs to find it by, and moves from its "
-            "first frames on"
+            f"rest must be given: {recording.source or 'the recording'} has no inputs to find it by, and moves from "
+            "its first frames on"
         )
     return count
 

@@ -50,7 +50,8 @@ def motive(path: Path, text: str, settings: RecordingSettings) -> tuple[Sheet, C
         DataError: It is not in that layout, or lacks a body.
     """
     rows: list[list[str]] = []
-    for line, end in _lines(text):
+    begin = 0
+    for line, begin in _lines(text):  # noqa: B007  where the data begins
         rows.append([cell.strip() for cell in next(csv.reader([line]), [])])
         if rows[-1][:1] == ["Frame"]:
             break
@@ -91,7 +92,7 @@ def motive(path: Path, text: str, settings: RecordingSettings) -> tuple[Sheet, C
         rate=_positive(rate),
         euler_order=None if form == "quaternion" else form,
     )
-    sheet = Sheet(path, tuple(columns), text[end:], len(rows), ",", ".")
+    sheet = Sheet(path, tuple(columns), text[begin:], len(rows), ",", ".")
     return _checked(sheet, result)
 
 

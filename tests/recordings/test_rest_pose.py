@@ -17,7 +17,6 @@ from apcc_torch.estimation.rest_calibration import RestCalibration
 from apcc_torch.lie.rotations import chordal_mean, rotation_angle
 from apcc_torch.recordings.recording import Recording
 from apcc_torch.recordings.recording_file import load_recording
-from apcc_torch.recordings.session_file import frames_of
 from apcc_torch.recordings.rest_pose import calibrate, poses_of, rest_frame_count
 from laws import check_batching, generator, normal, poses, rotations
 
@@ -117,7 +116,8 @@ def test_rest_ends_where_the_inputs_move() -> None:
     assert rest_frame_count(recording) == 25
     still = dataclasses.replace(recording, inputs=torch.ones(40, 2, dtype=torch.float64))
     assert rest_frame_count(still) == 40
-    moving = frames_of(dataclasses.replace(recording, inputs=None), torch.arange(25, 40))
+    ramp = 0.01 * torch.arange(40, dtype=torch.float64).view(-1, 1, 1)
+    moving = dataclasses.replace(recording, inputs=None, position=recording.position[:1] + ramp)
     with pytest.raises(ValueRangeError, match="rest must be given"):
         calibrate(moving)
     assert calibrate(dataclasses.replace(recording, inputs=None)).rest_frames in (25, 26)
