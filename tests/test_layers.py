@@ -62,6 +62,7 @@ RESTRICTED: dict[str, frozenset[str]] = {
     "stable_baselines3": frozenset({"envs"}),
     "sklearn": frozenset({"evaluation"}),
     "pooch": frozenset({"recordings"}),
+    "rosbags": frozenset({"recordings"}),
 }
 
 LEVEL = {unit: level for level, units in enumerate(LAYERS) for unit in units}

@@ -61,7 +61,7 @@ class Track:
         return stamps[at], torch.tensor(self.rows, dtype=torch.float64)[at]
 
 
-def bag_frames(path: Path, settings: RecordingSettings) -> FramesRead:
+def bag_frames(path: Path, settings: RecordingSettings, _: int | None = None) -> FramesRead:
     """Reads a bag.
 
     Raises:

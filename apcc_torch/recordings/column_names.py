@@ -5,7 +5,7 @@ from __future__ import annotations
 import fnmatch
 import re
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from apcc_torch.errors import ConfigError, DataError
 from apcc_torch.recordings.csv_table import Sheet
@@ -64,8 +64,13 @@ class Columns:
         return [*of_bodies, *(name for name, _ in self.time), *self.inputs, *self.actuators, *self.target]
 
 
-def columns_in(sheet: Sheet, settings: RecordingSettings) -> Columns:
+def columns_in(sheet: Sheet, settings: RecordingSettings, wanted: int | None = None) -> Columns:
     """What a table's columns hold.
+
+    Args:
+        sheet: The table.
+        settings: What is declared.
+        wanted: How many inputs the arm has. Where no name tells inputs, and so many columns are left, those are.
 
     Raises:
         ConfigError: A declaration names no column.
@@ -88,6 +93,10 @@ def columns_in(sheet: Sheet, settings: RecordingSettings) -> Columns:
     inputs, actuators = drives(names, settings)
     target = TARGET if any(name in names for name in TARGET) else ()
     found = Columns(tuple(bodies), clock(names, settings), inputs, actuators, target, unit)
+    if not inputs and not actuators:
+        taken = {*found.all(), settings.group}
+        left = tuple(name for name in names if name not in taken and name.lower() not in (*COUNTS, "id"))
+        found = replace(found, inputs=left if len(left) == wanted else ())
     sheet.require(found.all())
     return found
 
@@ -183,6 +192,9 @@ def _turned(body: BodyColumns, settings: RecordingSettings, names: Sequence[str]
             turn = columns_of("quaternion", settings.quaternion, body.name, axes)
             if turn[1] in names:
                 break
+        else:
+            axes = "xyzw"
+            turn = columns_of("quaternion", settings.quaternion, body.name, axes)
         stand = sorted(range(4), key=lambda k: names.index(turn[k]) if turn[k] in names else k)
         turn, order = tuple(turn[k] for k in stand), "".join(axes[k] for k in stand)
     if len(turn) == 4:
@@ -216,9 +228,7 @@ def matching(key: str, patterns: Iterable[str], names: Sequence[str]) -> tuple[s
             continue
         fit = sorted(fnmatch.filter(names, pattern), key=_natural)
         if not fit:
-            raise ConfigError(
-                f"recording.{key}: nothing in the recording is called {pattern}; it has {', '.join(names)}"
-            )
+            raise ConfigError(f"recording.{key}: nothing is called {pattern}; there are {', '.join(names)}")
         found += fit
     return tuple(dict.fromkeys(found))
 

@@ -112,7 +112,8 @@ def columns_of(key: str, pattern: str, body: str, axes: Sequence[str]) -> tuple[
         ConfigError: It says neither where the axis stands.
     """
     if "{axis}" not in pattern:
-        pattern, found = re.subn(r"([xX])(?=[^a-zA-Z]*$)", "{axis}", pattern, count=1)
+        bare, found = re.subn(r"[xX](?=[^a-zA-Z]*$)", "{axis}", pattern.replace("{body}", "\0"), count=1)
         if not found:
             raise ConfigError(f"{key} must say where the axis stands, as rb_{{body}}_{{axis}}, got {pattern!r}")
+        pattern = bare.replace("\0", "{body}")
     return tuple(pattern.replace("{body}", body).replace("{axis}", axis) for axis in axes)

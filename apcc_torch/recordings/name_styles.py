@@ -39,7 +39,7 @@ UNIT = re.compile(r"\s*[\[(]\s*(?P<a>[a-zµ]+)\s*[\])]$|[ _](?P<b>mm|cm|m|in|inc
 """What may end a column's name and says its unit."""
 NO_BODY = re.compile(
     r"(^|[._/ ])(target|goal|acc|accel|acceleration|gyro|vel|velocity|force|torque|wrench|omega|twist|"
-    r"q|quat|quaternion|rot|rotation|orientation|euler|angle)s?\d*$",
+    r"q|quat|quaternion|rot|rotation|orientation|euler|angle|roll|pitch|yaw|rpy)s?\d*$",
     re.IGNORECASE,
 )
 """Names of what has axes and is no body."""

@@ -11,11 +11,13 @@ from apcc_torch.errors import DataError
 from apcc_torch.lie.rotations import quaternion_rotation
 from apcc_torch.model.arm import Arm
 from apcc_torch.model.table import table
-from apcc_torch.recordings.declaration import AXES, METRES, RecordingSettings
+from apcc_torch.recordings.declaration import AXES, METRES, ORDERS, RecordingSettings
 from apcc_torch.recordings.raw_poses import UP, Posed, RawPoses, metres
 
 NEAR, FAR = 0.5, 1.8
 """Distance of two bodies where the arm is straightest, over its length between them, outside of which it is wrong."""
+UNITS, CLOSE = ("m", "cm", "mm", "in"), math.log(1.5)
+"""Units that are proposed, and how near to the arm's length, as a ratio, one has to come."""
 STRAIGHT = 0.9
 """Of the frames, the share that is more bent than those in which an arm counts as straight."""
 ASKEW, RIGHT = math.radians(60.0), math.radians(40.0)
@@ -33,7 +35,8 @@ def check_guess(raw: RawPoses, posed: Posed, settings: RecordingSettings, arm: A
 
     Held against each other are the spacing of the bodies and the arm's lengths (a wrong unit), the way from the first
     body to the last and the way the arm points (a wrong axis, bodies from the tip to the base), and how bodies turn and
-    how the arm between them bends (a quaternion's order, a left hand). Nothing is said where there is too little to say
+    how the arm between them bends (a quaternion's order). A left hand's frame is the mirror image of an arm that could
+    be as well, so nothing tells it. Nothing is said where there is too little to say
     it from. Only ratios count, so the arm may be of any size, and only frames in which a body was seen.
 
     Raises:
@@ -68,16 +71,15 @@ def _check_unit(
     if NEAR <= ratio <= FAR or not ratio > 0:
         return
     now = metres(settings, raw.unit)
-    names = [name for name in METRES if name not in ("inch", "dm")]
-    fit = {name: abs(math.log(ratio * METRES[name] / now)) for name in names}
-    name = min(names, key=lambda each: fit[each])
+    fit = {name: abs(math.log(ratio * METRES[name] / now)) for name in UNITS}
+    name = min(UNITS, key=lambda each: fit[each])
     reach = f"lie {ratio:.3g} times as far apart as the arm's lengths let them"
     if len(places) == 1:
-        if ratio < NEAR and fit[name] > math.log(1.5):
+        if ratio < NEAR and fit[name] > CLOSE:
             return  # an arm that is curled up
         reach = f"lies {ratio:.3g} times as far from arm.placement.position as it is along the arm"
     what = "the bodies " + reach if len(places) > 1 else "the body " + reach
-    if fit[name] < math.log(FAR) and METRES[name] != now:
+    if fit[name] < CLOSE and METRES[name] != now:
         raise DataError(f"{source}: {what}: write recording.unit: {name}")
     raise DataError(f"{source}: {what}: check recording.unit, recording.bodies and the arm's lengths and sensors")
 
@@ -88,14 +90,16 @@ def _check_way(position: Tensor, settings: RecordingSettings, arm: Arm, source: 
     else:
         way = position[:, -1] - position[:, 0]
     size = torch.linalg.vector_norm(way, dim=-1)
-    straight = size >= size.nanquantile(STRAIGHT)
-    if int(size.isfinite().sum()) < FEWEST:
+    known = (size > 0).nonzero()[:, 0]
+    if len(known) < FEWEST:
         return
-    # One bend to each side leaves the middle; a single frame may be bent.
-    mean = (way[straight] / size[straight].unsqueeze(-1)).mean(0)
-    wanted = arm.placed_rotation()[:, 2].to(mean)
-    if not float(mean.norm()) > 0.5 or _angle(mean, wanted) <= ASKEW:
+    way, size = way[known] / size[known].unsqueeze(-1), size[known]
+    wanted = arm.placed_rotation()[:, 2].to(way)
+    # An arm may be bent to one side throughout, or in its straightest frames, but hardly in both.
+    means = [way.mean(0), way[size >= size.quantile(STRAIGHT)].mean(0)]
+    if any(float(mean.norm()) < 0.5 or _angle(mean, wanted) <= ASKEW for mean in means):
         return
+    mean = means[0]
     points = f"the bodies lie along {_named(mean)} where the arm points along {_named(wanted)}"
     now = settings.up or "z"
     there = torch.tensor(UP[now], dtype=mean.dtype).mT @ mean  # in the file's frame
@@ -115,33 +119,15 @@ def _check_way(position: Tensor, settings: RecordingSettings, arm: Arm, source: 
 
 def _check_turns(raw: RawPoses, posed: Posed, settings: RecordingSettings, source: str) -> None:
     now = _disagreement(raw, posed)
-    if now is None:
+    if now is None or now <= TURNS:
         return
-    others = {
-        (order, hand): _disagreement(raw, raw.posed(settings.changed(quaternion_order=order, hand=hand)))
-        for order in ("xyzw", "wxyz")
-        for hand in ("right", "left")
-    }
-    known = {key: value for key, value in others.items() if value is not None}
-    best = min(known, key=lambda key: known[key])
-    if now <= TURNS or known[best] * BETTER >= now:
-        return
-    order, hand = best
-    words = []
-    if _same(raw, posed, raw.posed(settings.changed(quaternion_order=order))):
-        order = ""
-    if order:
-        words.append(f"recording.quaternion_order: {order}")
-    if hand != settings.hand:
-        words.append(f"recording.hand: {hand}")
-    raise DataError(
-        f"{source}: the bodies turn otherwise than the arm bends, by {math.degrees(now):.0f} degrees: "
-        f"write {' and '.join(words)}"
-    )
-
-
-def _same(raw: RawPoses, a: Posed, b: Posed) -> bool:
-    return torch.equal(a.quaternion[raw.tracked].nan_to_num(), b.quaternion[raw.tracked].nan_to_num())
+    for order in ORDERS:
+        other = _disagreement(raw, raw.posed(settings.changed(quaternion_order=order)))
+        if other is not None and other * BETTER < now:
+            raise DataError(
+                f"{source}: the bodies turn otherwise than the arm bends, by {math.degrees(now):.0f} degrees: "
+                f"write recording.quaternion_order: {order}"
+            )
 
 
 def _disagreement(raw: RawPoses, posed: Posed) -> float | None:

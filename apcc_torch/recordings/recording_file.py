@@ -88,7 +88,7 @@ def load_recording(path: str | Path, *given: Any, arm: Arm | None = None, **chan
     settings = resolved(RecordingSettings, given, changes)
     path = Path(path)
     layout = detect_layout(path) if settings.layout == "auto" else settings.layout
-    frames = READERS[layout](path, settings)
+    frames = READERS[layout](path, settings, None if arm is None else max(arm.actuation.driving(arm.n_tendons)) + 1)
     posed = frames.raw.posed(settings)
     if arm is not None:
         check_guess(frames.raw, posed, settings, arm, frames.source)
@@ -106,14 +106,14 @@ def load_recording(path: str | Path, *given: Any, arm: Arm | None = None, **chan
     )
 
 
-def _table(path: Path, settings: RecordingSettings) -> FramesRead:
+def _table(path: Path, settings: RecordingSettings, inputs: int | None) -> FramesRead:
     path = _file(path)
     text = text_of(path)
     vendor = vendor_of(text) if settings.layout == "auto" else None
     if vendor is not None:
         return _export(path, text, settings, vendor)
     sheet = sheet_of(path, text, settings.delimiter, settings.decimal, settings.comment)
-    return _frames(sheet, columns_in(sheet, settings), settings)
+    return _frames(sheet, columns_in(sheet, settings, inputs), settings)
 
 
 def _export(path: Path, text: str, settings: RecordingSettings, vendor: str) -> FramesRead:
@@ -121,12 +121,12 @@ def _export(path: Path, text: str, settings: RecordingSettings, vendor: str) -> 
     return _frames(sheet, columns, settings)
 
 
-def _motive(path: Path, settings: RecordingSettings) -> FramesRead:
+def _motive(path: Path, settings: RecordingSettings, _: int | None) -> FramesRead:
     path = _file(path)
     return _export(path, text_of(path), settings, "motive")
 
 
-def _qualisys(path: Path, settings: RecordingSettings) -> FramesRead:
+def _qualisys(path: Path, settings: RecordingSettings, _: int | None) -> FramesRead:
     path = _file(path)
     return _export(path, text_of(path), settings, "qualisys")
 
@@ -195,7 +195,7 @@ def _times(table: CsvTable, columns: Columns, settings: RecordingSettings) -> Te
     return times
 
 
-def _trunk(path: Path, settings: RecordingSettings) -> FramesRead:
+def _trunk(path: Path, settings: RecordingSettings, _: int | None) -> FramesRead:
     """The trunk-stack's observations_NAME.csv and, beside it, control_inputs_NAME.csv.
 
     Observations may outnumber the inputs by one, the one after the last input, which is left out.
@@ -236,11 +236,11 @@ def _numbered_rows(sheet: Sheet) -> int:
     return len(ids)
 
 
-READERS: dict[str, Callable[[Path, RecordingSettings], FramesRead]] = {
+READERS: dict[str, Callable[[Path, RecordingSettings, int | None], FramesRead]] = {
     "table": _table,
     "trunk": _trunk,
     "motive": _motive,
     "qualisys": _qualisys,
     "bag": bag_frames,
 }
-"""Layout -> what reads it."""
+"""Layout -> what reads it; the arm's number of inputs, where it is known, tells columns that nothing else tells."""

@@ -59,7 +59,7 @@ def motive(path: Path, text: str, settings: RecordingSettings) -> tuple[Sheet, C
         raise DataError(f"{path}: is not Motive's export, no line begins with Frame")
     facts = dict(zip(rows[0][::2], rows[0][1::2], strict=False))
     axes = rows[-1]
-    told = {row[2].lower(): row for row in rows[1:-1] if len(row) > 2 and row[2]}
+    told = {next(filter(None, row[:3]), "").lower(): row for row in rows[1:-1]}
     kinds = next((row for row in rows[1:-1] if "Position" in row), None)
     if kinds is None or "name" not in told or "type" not in told:
         raise DataError(f"{path}: is not Motive's export, it has no lines of types, names and properties")
