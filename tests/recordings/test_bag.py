@@ -108,6 +108,15 @@ def test_poses_of_an_array(tmp_path: Path) -> None:
     assert read.position[2, :, 0].tolist() == pytest.approx([0.4, 0.2])
 
 
+def said(path: Path) -> str | None:
+    """What a bag is refused with; None where it is read."""
+    try:
+        load_recording(path)
+    except DataError as error:
+        return str(error)
+    return None
+
+
 def test_what_is_wrong_with_a_bag_is_named(tmp_path: Path) -> None:
     path = write(tmp_path / "bag", arm())
     with pytest.raises(DataError, match=r"has no poses '/lov'; did you mean /low\?"):
@@ -123,17 +132,11 @@ def test_what_is_wrong_with_a_bag_is_named(tmp_path: Path) -> None:
     whole = file.read_bytes()
     for cut in (0, 9, 200, len(whole) // 2, len(whole) - 9):
         file.write_bytes(whole[:cut])
-        try:
-            assert len(load_recording(path)) <= 6
-        except DataError as error:
-            assert str(error).startswith(str(path)) and "\n" not in str(error)
+        assert said(path) is None or str(said(path)).startswith(str(path))
     rng = torch.Generator().manual_seed(0)
     for _ in range(20):
         damaged = bytearray(whole)
         for at in torch.randint(len(whole), (5,), generator=rng).tolist():
             damaged[at] ^= 0x55
         file.write_bytes(bytes(damaged))
-        try:
-            load_recording(path)
-        except DataError as error:
-            assert "\n" not in str(error)
+        assert "\n" not in str(said(path))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 from scipy.spatial.transform import Rotation
@@ -54,7 +55,7 @@ def test_orientation_by_angles_and_offsets_that_turn(tmp_path: Path) -> None:
     found = read(tmp_path, text, euler="{body}_r{axis}", euler_order="zyx", offsets=[[0.0, 0.1, 0.0]])
     turn = Rotation.from_euler("ZYX", [30, 20, 10], degrees=True)
     torch.testing.assert_close(found.rotation[0, 0], torch.from_numpy(turn.as_matrix()))
-    assert found.position[0, 0].tolist() == pytest.approx(([1, 2, 3] + turn.apply([0, 0.1, 0])).tolist())
+    assert found.position[0, 0].tolist() == pytest.approx((turn.apply([0, 0.1, 0]) + np.arange(1, 4)).tolist())
     radians = read(tmp_path, text.replace("30,20,10", "0.3,0.2,0.1"), euler="{body}_r{axis}", angle="rad")
     told = Rotation.from_quat(radians.quaternion[0, 0].numpy()).as_euler("XYZ")
     assert told.tolist() == pytest.approx([0.3, 0.2, 0.1])

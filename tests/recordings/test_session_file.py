@@ -1,11 +1,10 @@
-"""Sessions of several files: motors in another one, rest and validation, labels, and arms that lack nothing but names."""
+"""Sessions of several files: motors in another one, rest and validation, labels, and what is left out of a fit."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
 import pytest
-import torch
 
 from apcc_torch.composition.evaluate import recordings
 from apcc_torch.composition.identify import recorded
@@ -113,9 +112,9 @@ def test_columns_that_are_left_are_the_inputs_where_the_arm_has_so_many(tmp_path
 def test_a_wrong_unit_is_named_by_the_programs(program: str, tmp_path: Path) -> None:
     path = data_file(tmp_path)
     path.write_text(path.read_text().replace("unit: mm", "unit: cm"))
+    begin = {
+        "identify": lambda: recorded(composed_identify(f"data={path}")),
+        "evaluate": lambda: recordings(composed_evaluate(f"data={path}")),
+    }[program]
     with pytest.raises(DataError, match=r"first\.csv: the bodies lie [19][\d.]* times as far apart .*unit: mm"):
-        if program == "identify":
-            recorded(composed_identify(f"data={path}"))
-        else:
-            recordings(composed_evaluate(f"data={path}"))
-    assert torch.get_default_dtype() == torch.float32
+        begin()
