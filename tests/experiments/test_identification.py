@@ -83,7 +83,7 @@ def test_wrong_files_end_in_one_sentence(tmp_path: Path) -> None:
     bad.write_text("timestamp,servo_1_mm,tip_x\n1,2,3\n")
     done = _identify(tmp_path, f"data={bad}", "hydra.run.dir=out")
     assert done.returncode == 2
-    assert "column 'pattern_label': the column is missing" in done.stdout + done.stderr
+    assert "column 'tip_y': the column is missing" in done.stdout + done.stderr
     assert "Traceback" not in done.stdout + done.stderr
 
 
