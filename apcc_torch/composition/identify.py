@@ -107,7 +107,7 @@ def recorded(settings: LearningSettings) -> tuple[Series, Split]:
         DataError: The recording cannot be read, or is not what it is declared to be.
     """
     data, arm = settings.data, settings.arm
-    learned = data.learned
+    learned = data.in_motion().learned
     folder = located(data, settings.data_root)
 
     def read(name: str) -> Series:

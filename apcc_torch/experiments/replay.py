@@ -41,7 +41,7 @@ def run(config: SimulateSettings, folder: Path) -> dict[str, float]:
     started = time.perf_counter()
     r = config.replay
     data = config.data
-    session = data.sessions[data.learned]
+    session = data.sessions[data.in_motion().learned]
     folder_of_data = located(data, config.data_root)
     recording = load_session(folder_of_data, session, config.recording)
     rest = load_rest(folder_of_data, data, config.recording)

@@ -75,8 +75,7 @@ def bag_frames(path: Path, settings: RecordingSettings, _: int | None = None) ->
             raise DataError(f"{path}: has no poses {name!r}{did_you_mean(name, poses)}")
     if not names:
         raise DataError(f"{path}: has no topic of poses")
-    times, _ = poses[names[0]].ordered()
-    times = times.unique()
+    times = poses[names[0]].ordered()[0].unique()
     bodies = [_at_frames(poses[name], times) for name in names]
     inputs = _inputs(path, values, settings)
     held = None if not inputs else torch.cat([_held(track, times) for track in inputs], dim=-1)

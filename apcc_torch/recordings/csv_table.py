@@ -6,6 +6,7 @@ import csv
 import io
 import math
 import re
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -25,13 +26,15 @@ EMPTY = ("", "nan", "null", "na", "n/a", "none", "-")
 """What stands in a cell without a number."""
 COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?")
 """A number with a decimal comma."""
+LONGEST_NAME = 500
+"""Most characters of a column's name."""
 LOOKED_AT = 200
 """Lines that are looked at for decimal commas."""
 
 
 @dataclass(frozen=True)
 class CsvTable:
-    """A table of numbers; empty cells are NaN, and so are the cells of columns of words and of those not asked for."""
+    """The columns of a table that were asked for: numbers, where empty cells are NaN, and words."""
 
     path: Path
     columns: dict[str, int]
@@ -139,8 +142,9 @@ class Sheet:
         names = [*sheet.names]
         only = [name for name in names if name not in words] if only is None else list(dict.fromkeys(only))
         sheet.require([*only, *words])
+        counts = Counter(names)
         for name in (*only, *words):
-            if name and names.count(name) > 1:
+            if name and counts[name] > 1:
                 raise DataError(f"{self.path}, column {name!r}: the column is there more than once")
         at = [names.index(name) for name in only]
         lines: list[int] = []
@@ -161,9 +165,8 @@ class Sheet:
             lines.append(line)
         if not rows:
             raise DataError(f"{self.path}: holds no data lines")
-        cells_read = torch.full((len(rows), len(names)), math.nan, dtype=torch.float64)
-        cells_read[:, at] = torch.tensor(rows, dtype=torch.float64).view(len(rows), len(at))
-        return CsvTable(self.path, {name: i for i, name in enumerate(names)}, lines, cells_read, texts)
+        values = torch.tensor(rows, dtype=torch.float64).view(len(rows), len(at))
+        return CsvTable(self.path, {name: i for i, name in enumerate(only)}, lines, values, texts)
 
     def not_a_number(self, cells: Sequence[str], at: Sequence[int], line: int) -> DataError:
         """The error to raise where one of the cells is no number."""
@@ -224,14 +227,16 @@ def sheet_of(
         elif line.strip():
             break
     mark = _delimiter(line, delimiter)
-    names = _cells(path, line, mark)
+    names = cells_of(path, line, mark)
     if all(map(_is_number, names)):
-        names = _cells(path, before, _delimiter(before, delimiter))
+        names = cells_of(path, before, _delimiter(before, delimiter))
         if all(map(_is_number, names)):
             raise DataError(f"{path}, line {number}: holds numbers where the names of the columns are wanted")
         at, number = start, number - 1
     while len(names) > 1 and not names[-1]:
-        names = names[:-1]
+        names.pop()
+    if any(len(name) > LONGEST_NAME for name in names):
+        raise DataError(f"{path}, line {number}: a column's name has over {LONGEST_NAME} characters")
     return Sheet(path, tuple(names), text[at:], number, mark, decimal, comment)
 
 
@@ -243,7 +248,12 @@ def _delimiter(line: str, told: str | None) -> str:
     return next((mark for mark in "\t;,|" if mark in bare), "")
 
 
-def _cells(path: Path, line: str, delimiter: str) -> list[str]:
+def cells_of(path: Path, line: str, delimiter: str) -> list[str]:
+    """The cells of a line; a delimiter of "" stands for any number of blanks.
+
+    Raises:
+        DataError: They are no cells.
+    """
     if not delimiter:
         return line.split()
     try:

@@ -82,6 +82,16 @@ class DataSettings(Settings):
         if self.sessions and self.validation == self.learned:
             raise ConfigError(f"validation must name another session than {self.learned}, which is learned from")
 
+    def in_motion(self) -> DataSettings:
+        """The set, if it is of motion.
+
+        Raises:
+            ConfigError: It is of shapes.
+        """
+        if self.kind != "motion":
+            raise ConfigError(f"data.kind must be motion: {self.kind} is for python -m apcc_torch.evaluate")
+        return self
+
     @property
     def learned(self) -> str:
         """The session that methods learn from."""

@@ -81,7 +81,8 @@ def _check_unit(
     what = "the bodies " + reach if len(places) > 1 else "the body " + reach
     if fit[name] < CLOSE and METRES[name] != now:
         raise DataError(f"{source}: {what}: write recording.unit: {name}")
-    raise DataError(f"{source}: {what}: check recording.unit, recording.bodies and the arm's lengths and sensors")
+    where = "arm.placement.position, " if len(places) == 1 else ""
+    raise DataError(f"{source}: {what}: check recording.unit, {where}recording.bodies, arm.lengths and arm.sensors")
 
 
 def _check_way(position: Tensor, settings: RecordingSettings, arm: Arm, source: str) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import re
 from collections.abc import Iterator
 from itertools import islice
@@ -10,7 +9,7 @@ from pathlib import Path
 
 from apcc_torch.errors import DataError
 from apcc_torch.recordings.column_names import BodyColumns, Columns, chosen, drives
-from apcc_torch.recordings.csv_table import Sheet
+from apcc_torch.recordings.csv_table import LONGEST_NAME, Sheet, cells_of
 from apcc_torch.recordings.declaration import METRES, RecordingSettings
 
 MOTIVE, QUALISYS = "Format Version", ("NO_OF_FRAMES", "FILE_VERSION")
@@ -52,7 +51,7 @@ def motive(path: Path, text: str, settings: RecordingSettings) -> tuple[Sheet, C
     rows: list[list[str]] = []
     begin = 0
     for line, begin in _lines(text):  # noqa: B007  where the data begins
-        rows.append([cell.strip() for cell in next(csv.reader([line]), [])])
+        rows.append(cells_of(path, line, ","))
         if rows[-1][:1] == ["Frame"]:
             break
     else:
@@ -66,8 +65,11 @@ def motive(path: Path, text: str, settings: RecordingSettings) -> tuple[Sheet, C
     width = len(axes)
     kind, name, what = ([*row, *[""] * width][:width] for row in (told["type"], told["name"], kinds))
     columns = [f"{n} {w} {a}".strip() if n else a for n, w, a in zip(name, what, axes, strict=True)]
+    if any(len(c) > 2 * LONGEST_NAME for c in columns):
+        raise DataError(f"{path}: a name in its header has over {LONGEST_NAME} characters")
     # Columns of no use, such as errors of markers, may share a name.
-    columns = [c if columns.index(c) == i else f"{c} ({i + 1})" for i, c in enumerate(columns)]
+    first = {c: i for i, c in reversed(list(enumerate(columns)))}
+    columns = [c if first[c] == i else f"{c} ({i + 1})" for i, c in enumerate(columns)]
     form = facts.get("Rotation Type", "Quaternion").lower()
     axes_of_turn = TURNS.get(form, form.upper())
     placed = [i for i in range(width) if what[i] == "Position" and axes[i] == "X"]
