@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import torch
 
 from apcc_torch.composition.identify import LearningSettings, of_the_arm
-from apcc_torch.errors import ConfigError
+from apcc_torch.errors import ConfigError, DataError
 from apcc_torch.evaluation.frames import Frames
 from apcc_torch.evaluation.leaderboard import Session
 from apcc_torch.evaluation.methods import METHODS
@@ -33,8 +34,15 @@ class EvaluateSettings(LearningSettings):
                 raise ConfigError(f"methods has no {name!r}{did_you_mean(name, METHODS)}")
 
 
-def recordings(settings: EvaluateSettings) -> tuple[list[Session], Frames | None]:
+def recordings(
+    settings: EvaluateSettings, tell: Callable[[str, DataError], None] | None = None
+) -> tuple[list[Session], Frames | None]:
     """The sessions, and the moments at which the arm rests straight, if there are some.
+
+    Args:
+        settings: What is evaluated.
+        tell: Takes the name of a session that cannot be read, and why: the others go on. None, and the session that is
+            learned from: it is raised.
 
     Raises:
         ConfigError: There is no session, or the arm is not that of the recordings.
@@ -48,9 +56,16 @@ def recordings(settings: EvaluateSettings) -> tuple[list[Session], Frames | None
     folder = located(data, settings.data_root)
     sessions = []
     for name, each in chosen.items():
-        series = of_the_arm(series_of(load_session(folder, each, settings.recording, arm)), arm)
+        try:
+            series = of_the_arm(series_of(load_session(folder, each, settings.recording, arm)), arm)
+            folds = _folds(settings, series, name)
+        except DataError as error:
+            if tell is None or name in (data.learned, data.validation):
+                raise
+            tell(name, error)
+            continue
         frames = Frames.of(series, fit.history, fit.slide_travel)
-        sessions.append(Session(name, each.payload, frames, _folds(settings, series, name)))
+        sessions.append(Session(name, each.payload, frames, folds))
     rest = load_rest(folder, data, settings.recording, arm)
     if rest is None:
         return sessions, None

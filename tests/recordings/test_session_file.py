@@ -98,6 +98,17 @@ def test_a_file_for_validation(tmp_path: Path) -> None:
             composed_identify(f"data={data_file(tmp_path, wrong)}")
 
 
+def test_a_bad_file_harms_itself_alone(tmp_path: Path) -> None:
+    path = data_file(tmp_path)
+    second = tmp_path / "second.csv"
+    second.write_text(second.read_text()[:200])
+    told: dict[str, DataError] = {}
+    sessions, _ = recordings(composed_evaluate(f"data={path}"), told.__setitem__)
+    assert [s.name for s in sessions] == ["a"] and str(told["b"]).startswith(str(second))
+    with pytest.raises(DataError, match=r"second\.csv"):
+        recordings(composed_evaluate(f"data={path}", "data.train=b"), told.__setitem__)
+
+
 def test_columns_that_are_left_are_the_inputs_where_the_arm_has_so_many(tmp_path: Path) -> None:
     path = tmp_path / "r.csv"
     lines = ["t,left,right,x1,y1,z1,x2,y2,z2"] + [f"{i},{i},{-i},0,0,-0.1,0,{0.001 * i},-0.2" for i in range(9)]

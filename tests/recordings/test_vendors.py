@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import math
+import random
 from pathlib import Path
 
 import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
-from apcc_torch.errors import DataError
+from apcc_torch.errors import ApccError, DataError
 from apcc_torch.recordings.recording_file import load_recording
 from apcc_torch.recordings.vendors import vendor_of
 
 HALF = math.sqrt(0.5)
+ODD = ',;\t|"\n\r 0123456789.-eExyzqwNn#\x00é'
 MOTIVE = """\
 Format Version,1.23,Take Name,Take 1,Capture Frame Rate,120.000000,Export Frame Rate,50.000000,\
 Rotation Type,Quaternion,Length Units,Millimeters,Coordinate Space,Global
@@ -122,3 +124,22 @@ def test_damaged_exports_are_named(text: str, words: str, tmp_path: Path) -> Non
     with pytest.raises(DataError) as caught:
         load_recording(path)
     assert words in str(caught.value) and str(caught.value).startswith(str(path)) and "\n" not in str(caught.value)
+
+
+def test_what_is_damaged_is_read_or_refused_in_a_sentence(tmp_path: Path) -> None:
+    rng = random.Random(3)
+    texts = [MOTIVE + "\n".join(ROWS) + "\n", six_rows(True), THREE + "1\t2\t3\t4\t5\t6\n", "t,x1,y1,z1\n0,1,2,3\n"]
+    refused = 0
+    for _ in range(300):
+        letters = list(rng.choice(texts))
+        for _ in range(rng.choice([1, 3, 20])):
+            k = rng.randrange(len(letters))
+            letters[k : k + 1] = rng.choice([[], [rng.choice(ODD)], [letters[k], rng.choice(ODD)]])
+        path = written(tmp_path, "".join(letters))
+        try:
+            load_recording(path)
+        except ApccError as error:
+            refused += 1
+            told = str(error)
+            assert "\n" not in told and len(told) < 2000
+    assert refused > 100
