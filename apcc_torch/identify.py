@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
 from pathlib import Path
 
 import hydra
@@ -13,12 +12,13 @@ from omegaconf import DictConfig
 
 from apcc_torch.composition.arguments import options_first
 from apcc_torch.composition.arm_file import arm_override
+from apcc_torch.composition.data_file import data_override
 from apcc_torch.composition.help import describe, for_manual
-from apcc_torch.composition.identify import IdentifySettings, known_arm, of_a_fit
+from apcc_torch.composition.identify import IdentifySettings, of_a_fit
 from apcc_torch.composition.schema import check_words, schema, typed
 from apcc_torch.composition.unread import check_given
 from apcc_torch.conf_path import conf_path
-from apcc_torch.errors import ConfigError, one_sentence
+from apcc_torch.errors import one_sentence
 from apcc_torch.experiments import identification
 from apcc_torch.plain_text import plain_logger
 from apcc_torch.sweeps.claim import check_options, given, held_folder, refusals
@@ -41,28 +41,12 @@ def _hydra_main(cfg: DictConfig) -> float:
     return metrics["arm_identified_tip_rmse_mm"]
 
 
-def with_arm(arguments: Sequence[str]) -> list[str]:
-    """The arguments with the arm that the recording is known to be of, where they name none.
-
-    Raises:
-        ApccError: The recording is of no arm that conf/arm knows, or cannot be read.
-    """
-    if any(argument.startswith(("arm=", "--config-name", "-cn")) for argument in arguments):
-        return list(arguments)
-    data = next((argument.removeprefix("data=") for argument in arguments if argument.startswith("data=")), None)
-    if data is None:
-        return list(arguments)
-    name = known_arm(data)
-    if name is None:
-        raise ConfigError(f"arm must be named: arm=NAME or arm=FILE, as {data} is of no arm in conf/arm")
-    return [*arguments, f"arm={name}"]
-
-
 def main() -> None:
     """Console entry point."""
     with held_folder(), refusals("identify"):
         check_words(sys.argv[1:], IdentifySettings, "identify")
-        sys.argv[1:] = options_first(arm_override(with_arm(for_manual(sys.argv[1:], "arm=ftdcr_v6"))))
+        words = for_manual(sys.argv[1:], "arm=ftdcr_v6")
+        sys.argv[1:] = options_first(arm_override(data_override(words, IdentifySettings)))
         check_options("identify")
         _hydra_main()
 

@@ -14,6 +14,7 @@ from omegaconf import DictConfig
 
 from apcc_torch.composition.arguments import options_first
 from apcc_torch.composition.arm_file import arm_override
+from apcc_torch.composition.data_file import data_override
 from apcc_torch.composition.help import describe, for_manual
 from apcc_torch.composition.run_settings import SimulateSettings
 from apcc_torch.composition.schema import check_words, schema
@@ -62,7 +63,8 @@ def main() -> None:
         try:
             with refusals("simulate"):
                 check_words(sys.argv[1:], SimulateSettings, "simulate")
-                words = with_batch(arm_override(for_manual(sys.argv[1:], "experiment=kinematic")))
+                words = data_override(for_manual(sys.argv[1:], "experiment=kinematic"), SimulateSettings)
+                words = with_batch(arm_override(words))
                 sys.argv[1:] = options_first(words)
                 check_options("simulate")
                 _hydra_main()

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from functools import cache
+from pathlib import Path
 
 from hydra import compose, initialize_config_dir
 from hydra.core.config_store import ConfigStore
 from omegaconf import DictConfig, OmegaConf
 
-from apcc_torch.composition.arm_file import arm_override
+from apcc_torch.composition.arm_file import arm_override, spelled
 from apcc_torch.composition.data_file import data_override
 from apcc_torch.composition.evaluate import EvaluateSettings
 from apcc_torch.composition.identify import IdentifySettings
@@ -16,6 +17,8 @@ from apcc_torch.composition.realtime import RealtimeSettings
 from apcc_torch.composition.run_settings import SimulateSettings
 from apcc_torch.composition.schema import schema, typed
 from apcc_torch.conf_path import conf_path
+from apcc_torch.recordings.data_set import set_names
+from apcc_torch.settings import Settings
 
 ConfigStore.instance().store(name="simulate_schema", node=schema(SimulateSettings))
 ConfigStore.instance().store(name="realtime_schema", node=schema(RealtimeSettings))
@@ -26,10 +29,22 @@ ConfigStore.instance().store(name="evaluate_schema", node=schema(EvaluateSetting
 ON_AN_ARM = {"calibration", "experiment_1", "experiment_2"}
 
 
+def with_data(overrides: tuple[str, ...], root: type[Settings]) -> list[str]:
+    """The overrides with `data=` spelled out as the programs do; a file that is not there stands for a recording."""
+    words = [word for word in overrides if word.startswith("data=")]
+    path = words[0].removeprefix("data=") if words else ""
+    if not words:
+        return list(overrides)
+    if path.startswith("{") or path in set_names() or Path(path).exists():
+        return data_override(overrides, root)
+    alone = {"name": "recording", "folder": "/nowhere", "sessions": {"recording": {"file": path}}}
+    return [f"data={spelled(alone)}" if word == words[0] else word for word in overrides]
+
+
 def raw(*overrides: str) -> DictConfig:
     """What hydra makes of the overrides."""
     with initialize_config_dir(conf_path(), version_base="1.3"):
-        return compose("simulate", arm_override(overrides))
+        return compose("simulate", arm_override(with_data(overrides, SimulateSettings)))
 
 
 def composed(*overrides: str) -> SimulateSettings:
@@ -51,7 +66,8 @@ def composed_realtime(*overrides: str) -> RealtimeSettings:
 def composed_identify(*overrides: str) -> IdentifySettings:
     """The settings of an identification."""
     with initialize_config_dir(conf_path(), version_base="1.3"):
-        return typed(compose("identify", arm_override(overrides)), IdentifySettings)
+        words = arm_override(with_data(overrides, IdentifySettings))
+        return typed(compose("identify", words), IdentifySettings)
 
 
 def composed_evaluate(*overrides: str) -> EvaluateSettings:
@@ -67,6 +83,12 @@ def _plain(experiment: str) -> DictConfig:
 
 def changed(experiment: str, *changes: str) -> SimulateSettings:
     """`composed` of an experiment and changed keys, without choices of groups: much faster where many are tried."""
-    cfg = OmegaConf.merge(_plain(experiment), OmegaConf.from_dotlist(list(changes)))
+    data = {}
+    for word in [word for word in changes if word.startswith("data=")]:
+        path = Path(word.removeprefix("data=")).absolute()
+        file = {"file": "" if path.is_dir() else path.name}
+        data = {"name": "made", "folder": str(path if path.is_dir() else path.parent), "sessions": {"recording": file}}
+    rest = [word for word in changes if not word.startswith("data=")]
+    cfg = OmegaConf.merge(_plain(experiment), {"data": data}, OmegaConf.from_dotlist(rest))
     assert isinstance(cfg, DictConfig)
     return typed(cfg, SimulateSettings)

@@ -26,13 +26,9 @@ DATA = {
     "data": {
         "arm": "arm.yaml",
         "sessions": {"empty": {"file": "empty.csv", "payload": 0.0}, "loaded": {"file": "loaded.csv", "payload": 0.03}},
+        "rest": "rest.csv",
     },
-    "recording": {
-        "inputs": ["a", "b", "c", "d", "e", "f"],
-        "bodies": [["x1", "y1", "z1"], ["x2", "y2", "z2"]],
-        "unit": 1.0e-3,
-        "time": "t",
-    },
+    "recording": {"unit": "mm"},
     "split": {"folds": 2, "fold": 1},
     "every": 2,
     "fit": {"samples": 24, "steps": 4, "rounds": 1},
@@ -40,28 +36,34 @@ DATA = {
 """The data set's file: all that a stranger writes."""
 
 
+REST = 12
+"""Frames in which it rests."""
+
+
 def write_recordings(folder: Path, count: int = 100) -> Path:
-    """Two sessions with the same inputs, without and with a payload; returns the data set's file."""
+    """Two sessions with the same inputs, without and with a payload, and a rest; returns the data set's file."""
     arm = read(ARM, Arm)
     rod = RodPlant.dynamics_of(arm, RodPlantSettings(refine=2, radius=0.005))
-    routing, lengths = arm.routing(), arm.rest_lengths()
+    lengths = arm.rest_lengths()
     time = 0.25 * torch.arange(count, dtype=torch.float64)
     phase = torch.arange(6, dtype=torch.float64)
-    inputs = 1.5 * torch.sin(time.unsqueeze(-1) * (1.1 + 0.37 * phase) + phase)
-    pulled = 1e-3 * inputs + arm.actuation.pre_stretch
+    moved = 1.5 * torch.sin(time.unsqueeze(-1) * (1.1 + 0.37 * phase) + phase)
     noise = torch.Generator().manual_seed(4)
     ends = torch.tensor([1, 3])
     assert len(lengths) == len(decouple(lengths.cumsum(0), lengths)[0]) == 2
-    for name, session in DATA["data"]["sessions"].items():  # type: ignore[index]
+    sessions = {name: (moved, each["payload"]) for name, each in DATA["data"]["sessions"].items()}  # type: ignore[index]
+    for name, (inputs, payload) in {**sessions, "rest": (0.0 * moved[:REST], 0.0)}.items():
         found = equilibrium(
-            rod, routing=routing, tendon_lengths=-pulled, compliance=1.0 / arm.actuation.stiffness,
-            payload=torch.full((count,), session["payload"], dtype=torch.float64),
+            rod, routing=arm.routing(), tendon_lengths=-1e-3 * inputs - arm.actuation.pre_stretch,
+            compliance=1.0 / arm.actuation.stiffness,
+            payload=torch.full((len(inputs),), payload, dtype=torch.float64),
         )  # fmt: skip
         assert bool(found.converged.all())
         pose = rod.kinematics().pose(found.q, rod.lengths, torch.ones(2, dtype=torch.float64), ends)
-        places = 1e3 * pose[..., :3, 3] + 0.1 * torch.randn(count, 2, 3, generator=noise, dtype=torch.float64)
+        places = 1e3 * pose[..., :3, 3]
+        places = places + 0.1 * torch.randn(places.shape, generator=noise, dtype=torch.float64)
         lines = ["t,a,b,c,d,e,f,x1,y1,z1,x2,y2,z2"]
-        rows = torch.cat((time.unsqueeze(-1), inputs, places.flatten(1)), -1).tolist()
+        rows = torch.cat((time[: len(inputs)].unsqueeze(-1), inputs, places.flatten(1)), -1).tolist()
         lines += [",".join(f"{cell:.6f}" for cell in row) for row in rows]
         (folder / f"{name}.csv").write_text("\n".join(lines) + "\n")
     (folder / "arm.yaml").write_text(yaml.safe_dump(ARM))

@@ -37,7 +37,7 @@ from apcc_torch.report import __main__ as report
             "experiment=setpoint state=exact",
             "state is no setting here, but one of python -m",
         ),
-        (identify.main, "arm=ftdcr data=x", "arm has no choice 'ftdcr'; did you mean ftdcr_v6?"),
+        (identify.main, "arm=ftdcr data=trunk", "arm has no choice 'ftdcr'; did you mean ftdcr_v6?"),
         (identify.main, "data=trnk", "data has no choice 'trnk'; did you mean trunk?"),
         (evaluate.main, "data=trunk_paylod", "data has no choice 'trunk_paylod'; did you mean trunk_payload?"),
         (evaluate.main, "data=trunk data.tran=x", "data.tran is no setting; did you mean train?"),

@@ -43,8 +43,16 @@ UNCHECKED_COMMANDS: dict[str, str] = {
     "identify arm=mine.yaml data=mine.csv recording.inputs=[a,b,c,d,e,f] recording.bodies=[[x1,y1,z1],[x2,y2,z2]]": (
         "the file is the reader's"
     ),
+    "identify arm=mine.yaml data=mine.csv": "the files are the reader's",
+    "evaluate data=data.yaml": "tests/recordings/test_worked_examples.py runs it",
+    "evaluate data=rod.yaml": "tests/recordings/test_worked_examples.py runs it",
+    "identify data=data.yaml": "tests/recordings/test_worked_examples.py runs it",
+    "simulate experiment=replay data=data.yaml feedback=position replay.direction=[0,0,-1] "
+    "replay.base_position=[0,0,0]": "tests/recordings/test_worked_examples.py runs it",
     "evaluate data=mine.yaml": "the file is the reader's; tests/evaluation has such a one",
-    "identify arm=runs/identify/FOLDER/arm.yaml identification=ftdcr_v6 data=train.csv": "the run is the reader's",
+    "identify arm=runs/identify/FOLDER/parameters.json identification=ftdcr_v6 data=train.csv": (
+        "the run is the reader's"
+    ),
 }
 """Command -> why it is not checked."""
 

@@ -31,7 +31,7 @@ from apcc_torch.hardware.calibration_file import ArmCalibration
 from apcc_torch.hardware.log_reader import read_log
 from apcc_torch.model.arm import Arm
 from apcc_torch.model.mount import RigidMount
-from apcc_torch.recordings.recording import load_recording
+from apcc_torch.recordings.recording_file import load_recording
 from apcc_torch.sweeps.sweep_folder import read_record
 from odd_values import damaged_bytes, odd_mapping, odd_text
 

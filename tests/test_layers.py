@@ -63,6 +63,7 @@ RESTRICTED: dict[str, frozenset[str]] = {
     "stable_baselines3": frozenset({"envs"}),
     "sklearn": frozenset({"evaluation"}),
     "pooch": frozenset({"recordings"}),
+    "rosbags": frozenset({"recordings"}),
     "viser": frozenset({"viewing"}),
 }
 

@@ -8,15 +8,15 @@ from typing import Any
 from apcc_torch.errors import ConfigError
 from apcc_torch.model.arm import Arm
 
-SUFFIXES = (".yaml", ".yml")
-"""Of files in which settings stand."""
+SUFFIXES = (".yaml", ".yml", ".json")
+"""Of files in which settings stand; identify's parameters.json is an arm's file too."""
 
 
 def arm_override(arguments: Sequence[str]) -> list[str]:
     """Arguments as Hydra takes them: an arm's file is spelled out, `arm=FILE` becomes `~arm` and `arm={...}`.
 
-    Keys of the arm may follow it, and several files make a sweep: arm=a.yaml,b.yaml. A value that ends in .yaml or .yml
-    is a file; any other is left to Hydra, as the name of an arm.
+    Keys of the arm may follow it, and several files make a sweep: arm=a.yaml,b.yaml. A value that ends in .yaml,
+    .yml or .json is a file; any other is left to Hydra, as the name of an arm.
 
     Raises:
         ConfigError: Files and names are mixed.

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+import torch
+
 from apcc_torch.composition.run_settings import FolderSettings
 from apcc_torch.composition.unread import Unread
 from apcc_torch.errors import ConfigError
@@ -12,11 +14,13 @@ from apcc_torch.identification.arm_blocks import KEYS, Spreads, arm_parameters
 from apcc_torch.identification.fit import FitSettings
 from apcc_torch.identification.online import OnlineSettings
 from apcc_torch.identification.parameters import Parameters
-from apcc_torch.identification.series import RecordingSettings, Series, read_series
-from apcc_torch.identification.split import SplitSettings
+from apcc_torch.identification.series import Series, joined, series_of
+from apcc_torch.identification.split import Split, SplitSettings, split
 from apcc_torch.model.arm import Arm
-from apcc_torch.recordings.data_set import named_set, recording_path, refuse, set_names
-from apcc_torch.recordings.recording import detect_layout
+from apcc_torch.recordings.data_set import DataSettings, located, named_set, refuse, set_names
+from apcc_torch.recordings.declaration import RecordingSettings
+from apcc_torch.recordings.recording_file import detect_layout
+from apcc_torch.recordings.session_file import load_session
 from apcc_torch.settings import MANY, OURS, check_choice, names, setting
 
 MOST_HEADER = 2**20
@@ -65,6 +69,7 @@ class ArmOnlineSettings(OnlineSettings):
 class LearningSettings(FolderSettings):
     """What every program has that fits an arm to recordings."""
 
+    data: DataSettings = setting(factory=DataSettings, meaning="the recordings: data=NAME, data=FILE, data=FOLDER")
     arm: Arm = setting(meaning="what is believed of the arm: a name in conf/arm, or an arm's file")
     spread: Spreads = setting(factory=Spreads, meaning="how far the arm may be from that")
     recording: RecordingSettings = setting(factory=RecordingSettings, meaning="how the recording is read")
@@ -82,7 +87,6 @@ class LearningSettings(FolderSettings):
 class IdentifySettings(LearningSettings):
     """Root of `python -m apcc_torch.identify`."""
 
-    data: str | None = setting(None, "", OURS, "file or folder of the recording, or a data set of conf/data_set")
     online: ArmOnlineSettings = setting(factory=ArmOnlineSettings, meaning="how the geometry is adapted online")
 
 
@@ -95,16 +99,26 @@ def of_a_fit(settings: LearningSettings) -> Unread:
         yield "spread.damping_ratio", "fit.history is 1, the arm is at rest in every sample"
 
 
-def recorded(settings: IdentifySettings) -> Series:
-    """The recording that `data` names, which has what the arm has.
+def recorded(settings: LearningSettings) -> tuple[Series, Split]:
+    """The recording that `data` means, which has what the arm has, and which of its samples judge the fit.
 
     Raises:
         ConfigError: No data is named, or the arm is not that of the recording.
-        DataError: The recording cannot be read.
+        DataError: The recording cannot be read, or is not what it is declared to be.
     """
-    if settings.data is None:
-        raise ConfigError("data must name the file or folder of a recording: data=PATH")
-    return of_the_arm(read_series(recording_path(settings.data, settings.data_root), settings.recording), settings.arm)
+    data, arm = settings.data, settings.arm
+    learned = data.in_motion().learned
+    folder = located(data, settings.data_root)
+
+    def read(name: str) -> Series:
+        return of_the_arm(series_of(load_session(folder, data.sessions[name], settings.recording, arm)), arm)
+
+    series = read(learned)
+    if not data.validation:
+        return series, split(series.groups, settings.split).within(series.seen)
+    both = joined(series, read(data.validation))
+    index = torch.arange(len(both))
+    return both, Split(index[: len(series)], index[len(series) :]).within(both.seen)
 
 
 def of_the_arm(series: Series, arm: Arm) -> Series:

@@ -17,6 +17,8 @@ from apcc_torch.estimation.sensor_gate import SensorGateSettings
 from apcc_torch.model.arm import Arm, Lengths, vector
 from apcc_torch.native.compiled import MODES
 from apcc_torch.reading import keyed
+from apcc_torch.recordings.data_set import DataSettings
+from apcc_torch.recordings.declaration import RecordingSettings
 from apcc_torch.settings import OURS, PAPER, Setting, Settings, setting
 from apcc_torch.simulation.divergence import DivergenceSettings
 from apcc_torch.simulation.plant import Plant, PlantSettings
@@ -134,12 +136,8 @@ class RunSettings(FolderSettings, ControlSettings):
 
 @dataclass(frozen=True, kw_only=True)
 class ReplaySettings(Settings):
-    """How a recording is read."""
+    """How a recording is replayed."""
 
-    layout: str = setting(
-        "auto", "", OURS, "auto, columns (docs/recordings.md) or trunk", choices=("auto", "columns", "trunk")
-    )
-    rate: float = setting(100.0, "Hz", OURS, "for layouts without time stamps", above=0, most=1e6)
     rest: int | None = setting(
         None, "", OURS, "frames at the start in which the arm rests; null: those before the inputs first move", least=1
     )
@@ -182,7 +180,11 @@ class SimulateSettings(RunSettings):
     state: str = setting(
         "feedback", "", PAPER, "feedback, algorithm 2 in the loop; exact, q is known", choices=("feedback", "exact")
     )
-    data: str | None = setting(None, "", OURS, "folder or file of a recording")
+    data: DataSettings = setting(factory=DataSettings, meaning="of a replay: data=NAME, data=FILE, data=FOLDER")
+    data_root: str | None = setting(
+        None, "", OURS, "folder that holds the data sets of conf/data_set; null: APCC_DATA, else they are fetched"
+    )
+    recording: RecordingSettings = setting(factory=RecordingSettings, meaning="how the recording is read")
     device: str = setting("cpu", "", OURS, "a torch device")
     threads: int | None = setting(
         1, "", OURS, "torch threads; small batches run fastest on one; null: torch's choice", least=1, most=1024

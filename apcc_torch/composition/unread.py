@@ -121,7 +121,7 @@ def of_a_simulation(c: SimulateSettings) -> Unread:
                 "controller.adaptive is false",
             )
     else:
-        yield "replay data", f"experiment {e.name} replays no recording"
+        yield "replay recording data data_root", f"experiment {e.name} replays no recording"
     if c.prune.after is None:
         yield "prune.above", "prune.after is null"
     if c.batch is None:

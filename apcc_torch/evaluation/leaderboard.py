@@ -88,7 +88,7 @@ def evaluate(
                 method = methods[name](known[fold])
                 method.fit(train.frames.at(train.folds[fold].training))
                 for task in filter(method.answers, tasks):
-                    for session in sessions:
+                    for session in (each for each in sessions if len(each.folds[fold].validation)):
                         for body, error in _errors(method, task, session, fold, every).items():
                             found.setdefault((task, session.name, body), []).append(error)
         except ApccError as error:

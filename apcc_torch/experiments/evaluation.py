@@ -12,7 +12,7 @@ from tqdm import tqdm
 
 from apcc_torch.composition.evaluate import EvaluateSettings, recordings
 from apcc_torch.composition.identify import parameters
-from apcc_torch.evaluation.leaderboard import evaluate
+from apcc_torch.evaluation.leaderboard import Failure, evaluate
 from apcc_torch.evaluation.method import Known
 from apcc_torch.evaluation.methods import METHODS
 from apcc_torch.evaluation.payload import payloads
@@ -65,7 +65,8 @@ def of_statics(settings: EvaluateSettings) -> Leaderboard:
 
 def of_motion(settings: EvaluateSettings, say: Say) -> Leaderboard:
     """Every method on every task that the recordings allow."""
-    sessions, rest = recordings(settings)
+    unread: list[Failure] = []
+    sessions, rest = recordings(settings, lambda name, why: unread.append(Failure(f"session {name}", str(why))))
     blocks, fit = parameters(settings), settings.fit
     geometric = blocks.holding(fit.geometric)
 
@@ -74,7 +75,8 @@ def of_motion(settings: EvaluateSettings, say: Say) -> Leaderboard:
 
     calibration = known().calibration
     sessions = [replace(session, frames=session.frames.gated(calibration)) for session in sessions]
-    learned, loads = settings.data.learned, len(sessions) > 1
+    # What is followed is seen before it is scored, in the same file.
+    learned, loads = settings.data.learned, len(sessions) > 1 and not settings.data.validation
     k, turned = sessions[0].frames.positions.shape[1], bool(sessions[0].frames.rotations.isfinite().any())
     tasks = [task for task in tasks_of(k, turned) if loads or not task.online]
     chosen = {name: METHODS[name] for name in settings.methods or METHODS}
@@ -86,4 +88,4 @@ def of_motion(settings: EvaluateSettings, say: Say) -> Leaderboard:
     told = [known() for _ in sessions[0].folds]
     scores, failures = evaluate(told, sessions, learned, tasks, chosen, settings.every, watch)
     weighed = payloads(told[0], sessions, learned, 0) if loads and "arm identified" in chosen else []
-    return Leaderboard(settings.data.name, scores, weighed, failures)
+    return Leaderboard(settings.data.name, scores, weighed, [*unread, *failures])

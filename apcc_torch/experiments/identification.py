@@ -14,7 +14,7 @@ from torch import Tensor
 from apcc_torch.composition.identify import IdentifySettings, parameters, recorded
 from apcc_torch.errors import DataError
 from apcc_torch.experiments.folder import RunFolder
-from apcc_torch.experiments.identification_report import report_text
+from apcc_torch.experiments.identification_report import report_text, why_not
 from apcc_torch.files import write_atomically, write_json
 from apcc_torch.identification.arm_blocks import account, identified_arm
 from apcc_torch.identification.fit import Fit, FitSettings, fit
@@ -23,7 +23,7 @@ from apcc_torch.identification.online import adapt
 from apcc_torch.identification.parameters import Parameters
 from apcc_torch.identification.regression import linear_prediction, mean_prediction
 from apcc_torch.identification.series import Series
-from apcc_torch.identification.split import Split, split, thinned
+from apcc_torch.identification.split import Split, thinned
 from apcc_torch.identification.tendon_arm import Drive, TendonArm
 from apcc_torch.report.identification import Outcome, identification_figures
 from apcc_torch.report.style import save_figures
@@ -109,8 +109,7 @@ def run(settings: IdentifySettings, folder: Path, say: Say) -> tuple[dict[str, f
     started = time.perf_counter()
     if settings.threads is not None:
         torch.set_num_threads(settings.threads)
-    series, blocks = recorded(settings), parameters(settings)
-    parts = split(series.groups, settings.split)
+    (series, parts), blocks = recorded(settings), parameters(settings)
     used = thinned(parts.training, settings.fit.samples)
     drive = series.drive(settings.fit.history, settings.fit.slide_travel)
     arm, geometry = TendonArm(settings.arm), TendonArm(settings.arm, kinematic=True)
@@ -122,11 +121,12 @@ def run(settings: IdentifySettings, folder: Path, say: Say) -> tuple[dict[str, f
     say("PCC geometry")
     predictions["pcc_identified"] = identified(task, geometry, geometric).prediction
     say("PCC geometry, online")
-    seen = thinned(torch.arange(len(series)), settings.online.samples)
+    seen = thinned(series.seen.nonzero()[:, 0], settings.online.samples)
     online, _ = adapt(geometry, geometric, drive.rows(seen), series.positions[seen], settings.online)
     predictions["pcc_online"] = torch.full_like(series.positions, torch.nan).index_copy(0, seen, online)
     say("the arm")
     model = identified(task, arm, blocks)
+    predictions["arm_nominal"] = arm.predict(drive, blocks.values(blocks.nominal()))
     predictions["arm_identified"] = model.prediction
     spread = halves(task, arm, model)
 
@@ -148,14 +148,19 @@ def run(settings: IdentifySettings, folder: Path, say: Say) -> tuple[dict[str, f
         "information_largest": float(information[-1]),
         "information_least": max(float(information[0]), 0.0),
         "unknown_directions": len(unknown),
+        "frames_without_a_body_percent": 100.0 * float((~series.seen).double().mean()),
         "wall_s": time.perf_counter() - started,
     }
     name = settings.arm.name
-    text = report_text(name, metrics, list(predictions), answer, unknown)
+    reasons = why_not(metrics)
+    metrics["fit_usable"] = float(not reasons)
+    text = report_text(name, metrics, list(predictions), answer, unknown, reasons)
     write_atomically(folder / "table.txt", text + "\n")
-    write_json(folder / "parameters.json", {"parameters": [_plain(entry, spread) for entry in answer]})
-    origin = f"{name}, from {settings.data} by python -m apcc_torch.identify; parameters.json has the intervals."
-    identified_arm(settings.arm, values).save(folder / "arm.yaml", f"{origin}\n{account(blocks)}")
+    origin = f"{name}, from {series.source} by python -m apcc_torch.identify; parameters.json has the intervals."
+    result, warning = identified_arm(settings.arm, values), "".join(f"\nDo not use this arm: {why}." for why in reasons)
+    result.save(folder / "arm.yaml", f"{origin}\n{account(blocks)}{warning}")
+    told = {"arm": result.entries(), "usable": not reasons, "parameters": [_plain(entry, spread) for entry in answer]}
+    write_json(folder / "parameters.json", told)
     held = torch.zeros(len(series), dtype=torch.bool).index_fill(0, parts.validation, True)
     arrays = {"time": series.times, "inputs": series.inputs, "measured": series.positions, "held_back": held}
     RunFolder(folder).write(metrics, arrays | predictions, 0)

@@ -11,16 +11,17 @@ from torch import Tensor
 
 from apcc_torch.composition.build import Builder
 from apcc_torch.composition.run_settings import SimulateSettings
-from apcc_torch.errors import ConfigError
 from apcc_torch.estimation.sensor_gate import SensorGate
 from apcc_torch.experiments.folder import RunFolder, progress_bar, warn
 from apcc_torch.model.coordinates import Coordinates
-from apcc_torch.recordings.data_set import recording_path
+from apcc_torch.reading import keyed
+from apcc_torch.recordings.data_set import located
 from apcc_torch.recordings.recorded_arm import TRUNK_BASE, TRUNK_DIRECTION
-from apcc_torch.recordings.recording import detect_layout, load_recording
+from apcc_torch.recordings.recording_file import detect_layout
 from apcc_torch.recordings.replay import held_out_error, replay
 from apcc_torch.recordings.replay_log import replay_metrics, sensor_errors
-from apcc_torch.recordings.rest_pose import calibrate
+from apcc_torch.recordings.rest_pose import calibrate, still_frame_count
+from apcc_torch.recordings.session_file import load_rest, load_session
 from apcc_torch.report.replay import ReplayCurves, replay_figure
 from apcc_torch.report.style import save_figures
 from apcc_torch.simulation.divergence import sentence
@@ -39,21 +40,22 @@ def run(config: SimulateSettings, folder: Path) -> dict[str, float]:
     """
     started = time.perf_counter()
     r = config.replay
-    if config.data is None:
-        raise ConfigError("data must name the folder or file of a recording: experiment=replay data=FOLDER")
-    path = recording_path(config.data)
-    layout = detect_layout(path) if r.layout == "auto" else r.layout
-    recording = load_recording(path, layout=layout, rate=r.rate)
+    data = config.data
+    session = data.sessions[data.in_motion().learned]
+    folder_of_data = located(data, config.data_root)
+    recording = load_session(folder_of_data, session, config.recording)
+    rest = load_rest(folder_of_data, data, config.recording)
     direction, base_position = r.direction, r.base_position
-    if layout == "trunk":
+    if detect_layout(folder_of_data / session.file) == "trunk":
         # These recordings hold neither the way gravity points nor the base; what is known of them stands in.
         direction = TRUNK_DIRECTION if direction is None else direction
         base_position = TRUNK_BASE if base_position is None and r.first_abscissa is None else base_position
-    if r.rest is None and recording.inputs is None:
-        raise ConfigError(f"replay.rest must be given: {recording.source} has no inputs to find the rest by")
+    if rest is None and r.rest is None and recording.inputs is None:
+        with keyed("replay"):
+            still_frame_count(recording)
     calibration = calibrate(
-        recording,
-        rest=r.rest,
+        recording if rest is None else rest,
+        rest=r.rest if rest is None else len(rest),
         direction=direction,
         forward=r.forward,
         base_position=base_position,
@@ -96,24 +98,23 @@ def run(config: SimulateSettings, folder: Path) -> dict[str, float]:
     RunFolder(folder).write(metrics, log._asdict(), config.seed)
     if config.figures:
         coordinates = controller.backbone.coordinates
-        _draw(log._asdict(), folder / "figures", config.data, coordinates, recording.names, said)
+        _draw(log._asdict(), folder / "figures", data.name, coordinates, recording.names, said)
     return metrics
 
 
 def redraw(config: SimulateSettings, arrays: dict[str, Tensor], into: Path, figured: bool, filmed: bool) -> None:
     """See `kinds.Kind`; there is no true arm to film."""
-    _draw(arrays, into, config.data or "", Builder(config).backbone().coordinates)
+    _draw(arrays, into, config.data.name, Builder(config).backbone().coordinates)
 
 
 def _draw(
     arrays: Mapping[str, Tensor],
     into: Path,
-    data: str,
+    title: str,
     coordinates: Coordinates,
     names: Sequence[str] | None = None,
     warning: str | None = None,
 ) -> None:
     fields = ("time", "q_bar", "angular_error", "linear_error", "position_reason", "orientation_reason")
     curves = ReplayCurves(*(arrays[name] for name in fields))
-    title = Path(data).name
     save_figures({"replay.png": lambda: replay_figure(curves, names, title, coordinates)}, into, warning=warning)

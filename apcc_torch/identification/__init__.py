@@ -6,7 +6,7 @@ from apcc_torch.identification.arm_blocks import Spreads, arm_parameters, identi
 from apcc_torch.identification.fit import FitSettings, fit
 from apcc_torch.identification.intervals import intervals, unknown_directions
 from apcc_torch.identification.parameters import Block, Parameters
-from apcc_torch.identification.series import RecordingSettings, Series, read_series, series_of
+from apcc_torch.identification.series import Series, read_series, series_of
 from apcc_torch.identification.split import SplitSettings, split
 from apcc_torch.identification.tendon_arm import TendonArm
 
@@ -14,7 +14,6 @@ __all__ = [
     "Block",
     "FitSettings",
     "Parameters",
-    "RecordingSettings",
     "Series",
     "SplitSettings",
     "Spreads",

@@ -13,7 +13,7 @@ from torch import Tensor
 from apcc_torch.identification.parameters import Block, Parameters, Values
 from apcc_torch.lie import so3
 from apcc_torch.model.abscissae import decouple
-from apcc_torch.model.arm import BASES, Arm, vector
+from apcc_torch.model.arm import Arm, vector
 from apcc_torch.model.arm_placement import Placement
 from apcc_torch.model.table import Table, table
 from apcc_torch.settings import OURS, Settings, setting
@@ -172,7 +172,7 @@ def _rotation_vector(arm: Arm) -> Tensor:
     """The base's (3,) in the recording's frame, rad."""
     if arm.placement.rotation is not None:
         return vector(arm.placement.rotation)
-    return so3.log(torch.tensor(BASES[arm.base], dtype=torch.float64))
+    return so3.log(arm.placed_rotation())
 
 
 def _rows(values: Tensor, rows: int) -> Table | None:

@@ -38,6 +38,18 @@ class Split(NamedTuple):
     training: Tensor
     validation: Tensor
 
+    def within(self, seen: Tensor) -> Split:
+        """Those samples alone that are `seen` (N,).
+
+        Raises:
+            DataError: None is left of a part that had some.
+        """
+        parts = [index[seen[index]] for index in self]
+        for name, before, after in zip(self._fields, self, parts, strict=True):
+            if len(before) and not len(after):
+                raise DataError(f"no sample for {name} has every body tracked")
+        return Split(*parts)
+
 
 def split(groups: Tensor, *given: Any, **changes: Any) -> Split:
     """Holds one part back for validation.

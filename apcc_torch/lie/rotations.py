@@ -7,6 +7,7 @@ import math
 import torch
 from torch import Tensor
 
+from apcc_torch.lie import so3
 from apcc_torch.modes import full_precision
 from apcc_torch.shapes import check_tensor
 
@@ -36,6 +37,18 @@ def quaternion_rotation(quaternion: Tensor) -> Tensor:
         *(2 * (x * z - w * y), 2 * (y * z + w * x), ww - xx - yy + zz),
     )
     return torch.stack(rows, dim=-1).unflatten(-1, (3, 3))
+
+
+def rotation_quaternion(rotation: Tensor) -> Tensor:
+    """The unit quaternion (..., 4) x, y, z, w of rotations (..., 3, 3), w not negative; NaN where one is not finite.
+
+    Example:
+        >>> rotation_quaternion(quaternion_rotation(torch.tensor([0.6, 0.0, 0.0, 0.8])))
+        tensor([0.6000, 0.0000, 0.0000, 0.8000])
+    """
+    turn = so3.log(rotation)
+    half = 0.5 * torch.linalg.vector_norm(turn, dim=-1, keepdim=True)
+    return torch.cat((0.5 * torch.sinc(half / torch.pi) * turn, half.cos()), dim=-1)
 
 
 def rotation_angle(a: Tensor, b: Tensor) -> Tensor:

@@ -15,7 +15,7 @@ from torch import Tensor
 from apcc_torch.annotations import numbers_in
 from apcc_torch.conf_path import conf_path
 from apcc_torch.errors import ConfigError, DataError, ValueRangeError
-from apcc_torch.files import read_text, write_atomically, yaml_in
+from apcc_torch.files import json_in, read_text, write_atomically, yaml_in
 from apcc_torch.lie import so3
 from apcc_torch.model.arm_placement import Placement
 from apcc_torch.model.arm_tendons import Actuation, Tendons
@@ -182,14 +182,16 @@ class Arm(Settings):
         """(..., k) abscissae at which they are, m."""
         return self.sensor_places() if self.true_sensors is None else vector(self.true_sensors)
 
-    def base_rotation(self) -> Tensor:
-        """(3, 3) base of the arm in the world, whose z axis points up."""
+    def placed_rotation(self) -> Tensor:
+        """(3, 3) axes of the base in a recording's frame, as columns."""
         rotation = self.placement.rotation
         if rotation is None:
-            turn = torch.tensor(BASES[self.base], dtype=torch.float64)
-        else:
-            turn = so3.exp(torch.tensor(rotation, dtype=torch.float64))
-        return self.placement.upright() @ turn
+            return torch.tensor(BASES[self.base], dtype=torch.float64)
+        return so3.exp(torch.tensor(rotation, dtype=torch.float64))
+
+    def base_rotation(self) -> Tensor:
+        """(3, 3) base of the arm in the world, whose z axis points up."""
+        return self.placement.upright() @ self.placed_rotation()
 
     def backbone(self, kind: Callable[..., KinematicModel] = PCCBackbone, **settings: Any) -> KinematicModel:
         """A kinematic model of its sections.
@@ -246,7 +248,7 @@ class Arm(Settings):
 
     @staticmethod
     def load(path: str | Path) -> Arm:
-        """Reads an arm's file, YAML with the fields of this class as keys.
+        """Reads an arm's file, YAML or JSON with the fields of this class as keys, perhaps below `arm`.
 
         Args:
             path: The file; or the name of an arm that comes with the package in conf/arm, such as "arm_1", the paper's.
@@ -257,9 +259,10 @@ class Arm(Settings):
         """
         path = _file_of(path)
         try:
-            values = yaml_in(read_text(path), path.name)
+            values = (json_in if path.suffix == ".json" else yaml_in)(read_text(path), path.name)
         except DataError as error:
             raise DataError(f"{path}: cannot be read as an arm's file: {error}") from error
+        values = values.get("arm", values) if isinstance(values, dict) else None
         if not isinstance(values, dict):
             raise DataError(f"{path}: is no arm's file: it must hold keys such as lengths")
         try:

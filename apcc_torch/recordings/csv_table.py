@@ -1,12 +1,14 @@
-"""CSV files of numbers, read whole with errors that name the place."""
+"""Tables of numbers in text files, read whole, with errors that name the place."""
 
 from __future__ import annotations
 
 import csv
 import io
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+import re
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import torch
@@ -14,14 +16,25 @@ from torch import Tensor
 
 from apcc_torch.errors import DataError
 from apcc_torch.files import read_text
+from apcc_torch.settings import close
 
 MOST_TABLE = 2**30
 """Largest recording that is read, bytes."""
+DELIMITERS = {"tab": "\t", "blank": " "}
+"""Words for what is hard to see."""
+EMPTY = ("", "nan", "null", "na", "n/a", "none", "-")
+"""What stands in a cell without a number."""
+COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?")
+"""A number with a decimal comma."""
+LONGEST_NAME = 500
+"""Most characters of a column's name."""
+LOOKED_AT = 200
+"""Lines that are looked at for decimal commas."""
 
 
 @dataclass(frozen=True)
 class CsvTable:
-    """A CSV file of numbers; empty cells are NaN, and so are the cells of columns of words."""
+    """The columns of a table that were asked for: numbers, where empty cells are NaN, and words."""
 
     path: Path
     columns: dict[str, int]
@@ -54,18 +67,207 @@ class CsvTable:
             raise self.fault("the cell holds no finite number", names[k], row)
         return values
 
-    def numbered(self, stem: str) -> list[str]:
-        """The columns stem1, stem2, ... up to the highest number there is."""
-        numbers = [int(c[len(stem) :]) for c in self.columns if c.startswith(stem) and c[len(stem) :].isdecimal()]
-        return [f"{stem}{i}" for i in range(1, max(numbers, default=0) + 1)]
+    def known(self, names: Sequence[str]) -> Tensor:
+        """The named columns, of which cells may be empty, but none infinite."""
+        values = self.take(names)
+        bad = values.isinf()
+        if bool(bad.any()):
+            row, k = (int(i) for i in bad.nonzero()[0])
+            raise self.fault("the cell holds no finite number", names[k], row)
+        return values
 
-    def optional(self, names: Sequence[str]) -> Tensor | None:
-        """The named columns, or None where the file has none of them."""
-        return self.finite(names) if any(name in self.columns for name in names) else None
+
+@dataclass(frozen=True)
+class Sheet:
+    """A table's text, of which the header is read.
+
+    path: Its file. names: Of the columns. body: What follows the header. first: Lines before that.
+    delimiter: "" for any number of blanks. decimal: Mark in numbers; None: as the cells show. comment: What begins a
+    line that is passed over.
+    """
+
+    path: Path
+    names: tuple[str, ...]
+    body: str
+    first: int
+    delimiter: str = ","
+    decimal: str | None = None
+    comment: str = ""
+
+    def require(self, names: Sequence[str]) -> None:
+        """Raises DataError where a column is missing."""
+        for name in names:
+            if name not in self.names:
+                meant = close(name, self.names)
+                hint = "" if meant is None else f"; did you mean {meant}?"
+                raise DataError(f"{self.path}, column {name!r}: the column is missing{hint}")
+
+    def rows(self) -> Iterator[tuple[int, list[str]]]:
+        """Every line's number and its cells; empty lines and comments are left out."""
+        lines = io.StringIO(self.body, newline="")
+        told = ("\n" if self.comment and line.startswith(self.comment) else line for line in lines)
+        if not self.delimiter:
+            for number, line in enumerate(told, self.first + 1):
+                if cells := line.split():
+                    yield number, cells
+            return
+        reader = csv.reader(told, delimiter=self.delimiter, skipinitialspace=self.delimiter != "\t")
+        try:
+            for row in reader:
+                if any(cell.strip() for cell in row):
+                    yield self.first + reader.line_num, row
+        except csv.Error as error:
+            raise DataError(f"{self.path}: is not a CSV text file ({error})") from error
+
+    def with_decimal(self) -> Sheet:
+        """The same, with the decimal mark that its first lines show."""
+        if self.decimal is not None:
+            return self
+        told = (cells for (_, cells), _ in zip(self.rows(), range(LOOKED_AT), strict=False))
+        comma = any(COMMA.fullmatch(cell.strip()) for cells in told for cell in cells)
+        return replace(self, decimal="," if comma else ".")
+
+    def table(self, only: Sequence[str] | None = None, words: Sequence[str] = ()) -> CsvTable:
+        """The numbers.
+
+        Args:
+            only: Columns to read; None: all but those of `words`.
+            words: Columns that hold text.
+
+        Raises:
+            DataError: There is no data, a column is missing or there twice, a line is short or holds text in a column
+                that is read.
+        """
+        sheet = self.with_decimal()
+        names = [*sheet.names]
+        only = [name for name in names if name not in words] if only is None else list(dict.fromkeys(only))
+        sheet.require([*only, *words])
+        counts = Counter(names)
+        for name in (*only, *words):
+            if name and counts[name] > 1:
+                raise DataError(f"{self.path}, column {name!r}: the column is there more than once")
+        at = [names.index(name) for name in only]
+        lines: list[int] = []
+        rows: list[list[float]] = []
+        texts: dict[str, list[str]] = {name: [] for name in words}
+        for line, cells in sheet.rows():
+            if len(cells) < len(names) or any(cell.strip() for cell in cells[len(names) :]):
+                raise DataError(
+                    f"{self.path}, line {line}: the line has {len(cells)} cells where the header has {len(names)} "
+                    f"(from column {names[min(len(cells), len(names) - 1)]!r} on)"
+                )
+            try:
+                rows.append([_number(cells[i], sheet.decimal) for i in at])
+            except ValueError:
+                raise sheet.not_a_number(cells, at, line) from None
+            for name in words:
+                texts[name].append(cells[names.index(name)])
+            lines.append(line)
+        if not rows:
+            raise DataError(f"{self.path}: holds no data lines")
+        values = torch.tensor(rows, dtype=torch.float64).view(len(rows), len(at))
+        return CsvTable(self.path, {name: i for i, name in enumerate(only)}, lines, values, texts)
+
+    def not_a_number(self, cells: Sequence[str], at: Sequence[int], line: int) -> DataError:
+        """The error to raise where one of the cells is no number."""
+        for i in at:
+            try:
+                _number(cells[i], self.decimal)
+            except ValueError:
+                mark = "; write recording.decimal: ','" if COMMA.fullmatch(cells[i].strip()) else ""
+                return DataError(
+                    f"{self.path}, column {self.names[i]!r}, line {line}: {cells[i]!r} is not a number{mark}"
+                )
+        raise AssertionError("every cell is a number")
 
 
-def _number(cell: str) -> float:
-    return float(cell) if cell.strip() else math.nan
+def _number(cell: str, decimal: str | None) -> float:
+    text = cell.strip()
+    if text.lower() in EMPTY:
+        return math.nan
+    if decimal == ",":
+        if "." in text:
+            raise ValueError(text)
+        text = text.replace(",", ".")
+    return float(text)
+
+
+def text_of(path: Path) -> str:
+    """The text of a recording, without a byte order mark.
+
+    Raises:
+        DataError: It cannot be read.
+    """
+    return read_text(path, MOST_TABLE, str(path)).removeprefix("\ufeff")
+
+
+def sheet_of(
+    path: Path, text: str, delimiter: str | None = None, decimal: str | None = None, comment: str = ""
+) -> Sheet:
+    """A table whose first line names its columns; where that line is a comment, the comment does.
+
+    Args:
+        path: Its file.
+        text: What the file holds.
+        delimiter: Between cells: a character, "tab" or "blank"; None: the one in the header.
+        decimal: Mark in numbers; None: as the cells show.
+        comment: What begins a line that is none of the table's.
+
+    Raises:
+        DataError: It holds no data, or no names of columns.
+    """
+    at, number, before = 0, 0, ""
+    while True:
+        if at >= len(text):
+            raise DataError(f"{path}: holds no data lines")
+        start, at, number = at, text.find("\n", at) + 1 or len(text), number + 1
+        line = text[start:at].strip("\r\n")
+        if comment and line.startswith(comment):
+            before = line[len(comment) :].strip()
+        elif line.strip():
+            break
+    mark = _delimiter(line, delimiter)
+    names = cells_of(path, line, mark)
+    if all(map(_is_number, names)):
+        names = cells_of(path, before, _delimiter(before, delimiter))
+        if all(map(_is_number, names)):
+            raise DataError(f"{path}, line {number}: holds numbers where the names of the columns are wanted")
+        at, number = start, number - 1
+    while len(names) > 1 and not names[-1]:
+        names.pop()
+    if any(len(name) > LONGEST_NAME for name in names):
+        raise DataError(f"{path}, line {number}: a column's name has over {LONGEST_NAME} characters")
+    return Sheet(path, tuple(names), text[at:], number, mark, decimal, comment)
+
+
+def _delimiter(line: str, told: str | None) -> str:
+    """The delimiter of a line; "" for blanks."""
+    if told is not None:
+        return DELIMITERS.get(told, told).strip(" ")
+    bare = re.sub(r'"[^"]*"', "", line)
+    return next((mark for mark in "\t;,|" if mark in bare), "")
+
+
+def cells_of(path: Path, line: str, delimiter: str) -> list[str]:
+    """The cells of a line; a delimiter of "" stands for any number of blanks.
+
+    Raises:
+        DataError: They are no cells.
+    """
+    if not delimiter:
+        return line.split()
+    try:
+        return [cell.strip() for cell in next(csv.reader([line], delimiter=delimiter, skipinitialspace=True), [])]
+    except csv.Error as error:
+        raise DataError(f"{path}: is not a CSV text file ({error})") from error
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        _number(cell, "," if COMMA.fullmatch(cell.strip()) else ".")
+    except ValueError:
+        return False
+    return True
 
 
 def read_table(path: Path, words: Sequence[str] = ()) -> CsvTable:
@@ -78,45 +280,4 @@ def read_table(path: Path, words: Sequence[str] = ()) -> CsvTable:
     Raises:
         DataError: The file cannot be read, has no data, repeats a column, or has a line that is short or holds text.
     """
-    lines: list[int] = []
-    rows: list[list[float]] = []
-    texts: dict[str, list[str]] = {name: [] for name in words}
-    try:
-        reader = csv.reader(io.StringIO(read_text(path, MOST_TABLE, str(path)).removeprefix("\ufeff"), newline=""))
-        header = [name.strip() for name in next(reader, [])]
-        for row in reader:
-            if not row:
-                continue
-            if len(row) != len(header):
-                raise DataError(
-                    f"{path}, line {reader.line_num}: the line has {len(row)} cells where the header has "
-                    f"{len(header)} (from column {header[min(len(row), len(header) - 1)]!r} on)"
-                )
-            for name in words:
-                if name not in header:
-                    raise DataError(f"{path}, column {name!r}: the column is missing")
-                texts[name].append(row[header.index(name)])
-                row[header.index(name)] = ""
-            try:
-                rows.append([_number(cell) for cell in row])
-            except ValueError:
-                raise _not_a_number(path, header, row, reader.line_num) from None
-            lines.append(reader.line_num)
-    except csv.Error as error:
-        raise DataError(f"{path}: is not a CSV text file ({error})") from error
-    if not rows:
-        raise DataError(f"{path}: holds no data lines")
-    for name in header:
-        if header.count(name) > 1:
-            raise DataError(f"{path}, column {name!r}: the column is there more than once")
-    columns = {name: i for i, name in enumerate(header)}
-    return CsvTable(path, columns, lines, torch.tensor(rows, dtype=torch.float64), texts)
-
-
-def _not_a_number(path: Path, header: list[str], row: list[str], line: int) -> DataError:
-    for name, cell in zip(header, row, strict=True):
-        try:
-            _number(cell)
-        except ValueError:
-            return DataError(f"{path}, column {name!r}, line {line}: {cell!r} is not a number")
-    raise AssertionError("every cell is a number")
+    return sheet_of(path, text_of(path), ",", ".").table(words=words)

@@ -19,6 +19,8 @@ from apcc_torch.settings import OURS, Settings, close, did_you_mean, setting
 
 FOLDER = "data_set"
 """Of conf/, in which the sets are declared. Were it called data, Hydra would take data=FILE for a choice of them."""
+STILL = "still"
+"""Stands for a file in which the arm rests where the recording itself begins with it."""
 ROOT = "APCC_DATA"
 """The environment's name for a folder of data sets."""
 
@@ -36,6 +38,7 @@ class SessionSettings(Settings):
     """One recording of a data set."""
 
     file: str = setting("", "", OURS, "file or folder, below the set's folder; empty: the folder itself")
+    inputs: str = setting("", "", OURS, "file of what drove the arm, by the same clock; empty: the other file says it")
     payload: float | None = setting(None, "kg", OURS, "at the tip; null: not known", least=0)
 
 
@@ -60,20 +63,40 @@ class DataSettings(Settings):
     )
     sessions: dict[str, SessionSettings] = setting(factory=dict, meaning="name: a recording")
     train: str = setting("", "", OURS, "session that methods learn from; empty: the first")
-    rest: str | None = setting(None, "", OURS, "file in which the arm rests, straight; null: none")
+    validation: str = setting("", "", OURS, "session that judges instead of the parts that split holds back")
+    rest: str | None = setting(
+        None,
+        "",
+        OURS,
+        "file in which the arm rests, straight; still: where the session to learn from begins; null: none",
+    )
     rest_frames: int | None = setting(None, "", OURS, "at that file's start in which it rests; null: all", least=1)
     every_fold: bool = setting(False, "", OURS, "hold back every fold in turn, and not split.fold alone")
 
     def check(self) -> None:
-        """Raises ConfigError where the session to learn from is none."""
-        if self.train and self.train not in self.sessions:
-            raise ConfigError(f"train must name a session{did_you_mean(self.train, self.sessions)}")
+        """Raises ConfigError where the session to learn from, or the one that judges, is none."""
+        for name in ("train", "validation"):
+            value = getattr(self, name)
+            if value and value not in self.sessions:
+                raise ConfigError(f"{name} must name a session{did_you_mean(value, self.sessions)}")
+        if self.sessions and self.validation == self.learned:
+            raise ConfigError(f"validation must name another session than {self.learned}, which is learned from")
+
+    def in_motion(self) -> DataSettings:
+        """The set, if it is of motion.
+
+        Raises:
+            ConfigError: It is of shapes.
+        """
+        if self.kind != "motion":
+            raise ConfigError(f"data.kind must be motion: {self.kind} is for python -m apcc_torch.evaluate")
+        return self
 
     @property
     def learned(self) -> str:
         """The session that methods learn from."""
         if not self.sessions:
-            raise ConfigError(f"data.sessions must name a recording of {self.name}")
+            raise ConfigError("data must name the file or folder of a recording, or a data set: data=PATH")
         return self.train or next(iter(self.sessions))
 
 
@@ -109,18 +132,6 @@ def refuse(data: str) -> NoReturn:
     if close(data, set_names()) is not None:
         raise ConfigError(f"data has no choice {data!r}{did_you_mean(data, set_names())}")
     raise DataError(f"{data}: there is no such file or folder")
-
-
-def recording_path(data: str, data_root: str | None = None) -> str:
-    """`data` of a command: the path of the first recording of the set that it names, else a path as it is.
-
-    Raises:
-        DataError: The set is neither there nor can be fetched.
-    """
-    if data not in set_names():
-        return data
-    named = named_set(data)
-    return str(located(named, data_root) / named.sessions[named.learned].file)
 
 
 def located(data: DataSettings, data_root: str | None = None) -> Path:

@@ -13,14 +13,14 @@ from apcc_torch.errors import ConfigError, DataError, ShapeError, ValueRangeErro
 from apcc_torch.estimation.feedback import Feedback
 from apcc_torch.estimation.rest_calibration import RestCalibration
 from apcc_torch.estimation.savitzky_golay import SavitzkyGolay, SavitzkyGolayState
-from apcc_torch.estimation.sensor_gate import GateVerdict, SensorGate
+from apcc_torch.estimation.sensor_gate import GateVerdict, Reason, SensorGate
 from apcc_torch.estimation.state_feedback import StateFeedback
 from apcc_torch.lie import se3
 from apcc_torch.model.kinematic_model import KinematicModel
 from apcc_torch.recordings.recorded_arm import gate_frames
 from apcc_torch.recordings.recording import Recording
 from apcc_torch.recordings.replay_log import ReplayLog, SensorErrors, sensor_errors
-from apcc_torch.recordings.rest_pose import poses_of
+from apcc_torch.recordings.rest_pose import poses_of, unturned
 from apcc_torch.simulation.progress import Progress, quiet
 
 _SETTINGS = (
@@ -66,6 +66,11 @@ def _frames(
     held, verdict = gate_frames(gate, T, tracked, times)
     if not bool(verdict.position_ok.any()):
         raise DataError(f"{recording.source}: the gate accepts no position in any of the {len(times)} frames")
+    alone = unturned(recording)
+    verdict = verdict._replace(
+        orientation_ok=verdict.orientation_ok & ~alone,
+        orientation_reason=torch.where(alone, int(Reason.UNTRACKED), verdict.orientation_reason),
+    )
     base = feedback.backbone.base_rotation.to(held)
     world = se3.pose(base @ held[..., :3, :3], held[..., :3, 3] @ base.mT)
     return _Frames(times.to(like.device), world.to(like), GateVerdict(*(code.to(like.device) for code in verdict)))

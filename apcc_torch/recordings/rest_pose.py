@@ -19,6 +19,8 @@ from apcc_torch.lie.rotations import chordal_mean, rotation_angle
 from apcc_torch.recordings.recording import Recording
 from apcc_torch.shapes import check_finite, check_positive, check_tensor
 
+_FEWEST = 10  # frames of a rest that is told by stillness
+_NOISE, _STILL = 3.0, 0.01  # of the noise, and of the largest motion: farther is no rest
 _MOVED = 1e-3  # inputs count as moved when one leaves its first value by this share of its range
 
 
@@ -30,20 +32,51 @@ def poses_of(calibration: RestCalibration, recording: Recording) -> Tensor:
     """
     if recording.names != calibration.names:
         raise DataError(f"{recording.source}: has the bodies {recording.names}, the calibration {calibration.names}")
-    return calibration.poses(recording.position, recording.rotation)
+    # A body without orientations keeps the one that its mount takes for rest.
+    still = (calibration.base_rotation @ calibration.mount_rotation.mT).to(recording.position)
+    rotation = torch.where(unturned(recording)[:, None, None], still, recording.rotation)
+    return calibration.poses(recording.position, rotation)
+
+
+def unturned(recording: Recording) -> Tensor:
+    """Which bodies have positions alone (k,)."""
+    return recording.quaternion.isnan().all(-1).all(0)
 
 
 def rest_frame_count(recording: Recording) -> int:
-    """Number of frames before the inputs first move; all of them if they never do.
+    """Number of frames before the inputs first move, all of them if they never do; without inputs, of still frames.
 
     Raises:
-        ValueRangeError: The recording has no inputs.
+        ValueRangeError: The recording has no inputs, and nothing is still where it begins.
     """
     if recording.inputs is None:
-        raise ValueRangeError(f"rest must be given: {recording.source or 'the recording'} has no inputs to find it by")
+        return still_frame_count(recording)
     u = recording.inputs
     moved = ((u - u[0]).abs() > _MOVED * (u.amax(0) - u.amin(0))).any(-1).nonzero()
     return int(moved[0]) if len(moved) else len(u)
+
+
+def still_frame_count(recording: Recording) -> int:
+    """Number of frames before a body first moves by more than its noise, and by more than a hundredth of all motion.
+
+    Raises:
+        ValueRangeError: There are fewer than ten.
+    """
+    position = torch.where(recording.tracked.unsqueeze(-1), recording.position, torch.nan)
+    first = position[:_FEWEST]
+    centre = first.nanmedian(0).values
+    off = torch.linalg.vector_norm(position - centre, dim=-1)
+    # Second differences tell noise from motion that is smooth.
+    noise = torch.linalg.vector_norm(first.diff(dim=0).diff(dim=0), dim=-1).nanmedian(0).values.nan_to_num(0.0)
+    reach = torch.maximum(_NOISE * noise, _STILL * off.nan_to_num(0.0).amax(0))
+    moved = (off > reach).any(-1).nonzero()
+    count = int(moved[0]) if len(moved) else len(off)
+    if count < _FEWEST:
+        raise ValueRangeError(
+            f"rest must be given: {recording.source or 'the recording'} has no inputs to find it by, and moves from "
+            "its first frames on"
+        )
+    return count
 
 
 def _direction(points: Tensor, direction: Sequence[float] | Tensor | None) -> Tensor:
@@ -83,7 +116,8 @@ def calibrate(
 ) -> RestCalibration:
     """Calibrates a recording from the frames in which the arm hangs at rest, straight.
 
-    The rest position of a sensor is the median over the frames, its rest rotation their trimmed chordal mean.
+    The rest position of a sensor is the median over the frames, its rest rotation their trimmed chordal mean. One with
+    positions alone counts as turned as the base is, and its offset does not turn with it.
 
     Args:
         recording: The recording.
@@ -116,22 +150,21 @@ def calibrate(
     if base_position is not None and first_abscissa is not None:
         raise ValueRangeError("first_abscissa must not be given together with base_position")
     position, rotation = recording.position[:count], recording.rotation[:count]
-    seen = recording.tracked[:count] & position.isfinite().all(-1) & rotation.isfinite().flatten(-2).all(-1)
+    alone = unturned(recording)
+    seen = recording.tracked[:count] & position.isfinite().all(-1)
+    seen = seen & (alone | rotation.isfinite().flatten(-2).all(-1))
     points, turns, far, wide = [], [], [], []
     for k, name in enumerate(recording.names):
-        if bool(recording.quaternion[:, k].isnan().all()):
-            raise DataError(
-                f"{recording.source}: {name!r} has no orientation (quaternion), which its mount is found from"
-            )
         if not bool(seen[:, k].any()):
             raise DataError(f"{recording.source}: {name!r} was never tracked in the {count} frames at rest")
         p, R = position[seen[:, k], k], rotation[seen[:, k], k]
         points.append(p.quantile(0.5, dim=0))
-        turns.append(chordal_mean(R))
+        turns.append(torch.eye(3, dtype=p.dtype) if bool(alone[k]) else chordal_mean(R))
         far.append(float(torch.linalg.vector_norm(p - points[-1], dim=-1).max()))
-        wide.append(float(rotation_angle(turns[-1], R).max()))
+        wide.append(0.0 if bool(alone[k]) else float(rotation_angle(turns[-1], R).max()))
     P, R_rest = torch.stack(points), torch.stack(turns)
     z = _direction(P, direction)
+    R_rest = torch.where(alone[:, None, None], _base_axes(z, forward), R_rest)
     along = P @ z
     if bool((along.diff() <= 0).any()):
         raise DataError(f"{recording.source}: at rest the bodies {recording.names} are not in order along the arm")

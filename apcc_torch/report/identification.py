@@ -20,6 +20,7 @@ LABELS = {
     "pcc_nominal": "PCC as built",
     "pcc_identified": "PCC identified",
     "pcc_online": "PCC online",
+    "arm_nominal": "arm as built",
     "arm_identified": "arm identified",
 }
 COLORS = {"linear": style.VERMILION, "arm_identified": style.BLUE}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import pytest
@@ -14,6 +15,7 @@ from apcc_torch.model.arm import Arm
 from apcc_torch.model.arm_placement import Placement
 from apcc_torch.model.arm_tendons import Tendons
 from apcc_torch.reading import read
+from composed import composed, composed_evaluate, composed_identify, composed_realtime
 
 ARM = Arm(
     name="it's \\ 5 \\' mine, {really}",
@@ -66,3 +68,20 @@ def test_files_that_are_no_arms_are_refused(tmp_path: Path) -> None:
         arm_override([f"arm={tmp_path}/bad.yaml"])
     with pytest.raises(ConfigError, match="arm must name files or names, not both"):
         arm_override([f"arm=trunk,{tmp_path}/bad.yaml"])
+
+
+def test_what_identify_writes_is_an_arms_file_everywhere(tmp_path: Path) -> None:
+    """parameters.json holds the arm, with numbers that YAML alone would take for text, and more beside it."""
+    arm = ARM.changed(name="found", damping_ratio=1e-05)
+    told = {"arm": arm.entries(), "usable": True, "parameters": [{"name": "offset: tendon 1", "value": 1e-05}]}
+    path = tmp_path / "parameters.json"
+    path.write_text(json.dumps(told, indent=2))
+    assert Arm.load(path) == arm
+    for composer, words in (
+        (composed, ["experiment=setpoint"]),
+        (composed_realtime, ["experiment=setpoint"]),
+        (composed_evaluate, ["data=trunk_payload"]),
+        (composed_identify, ["data=trunk"]),
+    ):
+        assert composer(*words, f"arm={path}").arm == arm
+    assert arm.dynamics().gravity is not None and arm.routing().n_tendons == 2

@@ -62,6 +62,6 @@ def test_a_hostile_file_is_read_or_refused_and_does_nothing(tmp_path: Path, monk
 
 
 def test_nothing_is_resolved() -> None:
-    written = str(compose("experiment=kinematic")).replace("seed: 0", "data: ${oc.env:HOME}\nseed: 0")
-    written = re.sub(r"^data: null\n", "", written, flags=re.MULTILINE)
-    assert from_text(written, SimulateSettings).data == "${oc.env:HOME}"
+    written = str(compose("experiment=kinematic")).replace("seed: 0", "data_root: ${oc.env:HOME}\nseed: 0")
+    written = re.sub(r"^data_root: null\n", "", written, flags=re.MULTILINE)
+    assert from_text(written, SimulateSettings).data_root == "${oc.env:HOME}"

@@ -12,16 +12,20 @@ from apcc_torch.conf_path import conf_path
 from apcc_torch.errors import ConfigError, DataError
 from apcc_torch.identification.series import Series
 from apcc_torch.reading import defaults
+from apcc_torch.recordings.data_set import DataSettings, SessionSettings
 from composed import composed_identify
 
 NAMES = sorted(path.stem for path in (Path(conf_path()) / "identification").glob("*.yaml"))
 
 
 def recorded_with(settings: IdentifySettings, m: int, k: int, monkeypatch: pytest.MonkeyPatch) -> Series:
-    zeros = torch.zeros(2, dtype=torch.float64)
-    series = Series(zeros, zeros.expand(m, 2).mT, zeros.expand(k, 3, 2).movedim(-1, 0), zeros.to(torch.int64))
-    monkeypatch.setattr("apcc_torch.composition.identify.read_series", lambda *_: series)
-    return recorded(settings.changed(data="x.csv"))
+    zeros = torch.zeros(5, dtype=torch.float64)
+    series = Series(zeros, zeros.expand(m, 5).mT, zeros.expand(k, 3, 5).movedim(-1, 0), zeros.to(torch.int64))
+    monkeypatch.setattr("apcc_torch.composition.identify.load_session", lambda *_: None)
+    monkeypatch.setattr("apcc_torch.composition.identify.series_of", lambda _: series)
+    data = DataSettings(folder="/", sessions={"made": SessionSettings(file="x.csv")})
+    blocks = settings.split.changed(by="blocks")
+    return recorded(settings.changed(data=data, split=blocks))[0]
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -78,8 +82,8 @@ def test_data_and_its_layout_must_be_given() -> None:
         recorded(composed_identify("arm=ftdcr_v6"))
     with pytest.raises(ConfigError, match=r"recording\.layout must be"):
         composed_identify("arm=ftdcr_v6", "data=x.csv", "recording.layout=odd")
-    with pytest.raises(ConfigError, match=r"recording\.inputs must name columns of x\.csv"):
-        recorded(composed_identify("arm=ftdcr_v6", "data=x.csv", "recording.inputs=[]", "recording.layout=table"))
+    with pytest.raises(DataError, match=r"x\.csv cannot be read"):
+        recorded(composed_identify("arm=ftdcr_v6", "data=x.csv"))
 
 
 def test_the_arm_is_told_by_the_recording(tmp_path: Path) -> None:

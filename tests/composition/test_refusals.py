@@ -72,7 +72,7 @@ def wrong_types(annotation: str) -> list[Any]:
     if "int" in kinds and "float" not in kinds:
         wrong.append(2.5)
     if kinds & {"Lengths", "Numbers"} or annotation.startswith("tuple"):
-        wrong.append(["a"])
+        wrong.append([1] if annotation.startswith("tuple[str") else ["a"])
     return wrong
 
 

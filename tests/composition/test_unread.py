@@ -37,7 +37,7 @@ SHORT = (*QUICK, "experiment.setpoints=[[0.1,0.1,-0.5]]", "experiment.payloads=[
         ("kinematic", ("arm.mass=2",), "experiment kinematic has no forces"),
         ("kinematic", ("experiment.setpoints=[[0,0,-0.3]]",), "experiment kinematic follows its sine"),
         ("kinematic", ("experiment.start_error=0.2",), "experiment.start_errors is zero"),
-        ("kinematic", ("replay.rate=3",), "experiment kinematic replays no recording"),
+        ("kinematic", ("recording.rate=3",), "experiment kinematic replays no recording"),
         ("kinematic", ("prune.above=3",), "prune.after is null"),
         ("kinematic", ("batch_workers=3",), "there is no batch"),
         ("kinematic", ("feedback.mode=position", "feedback.angular_weight=0.3"), "feedback.mode is position"),
@@ -83,7 +83,7 @@ def test_what_is_refused_changes_nothing() -> None:
     logs = [kinematic.simulate(changed("kinematic", *QUICK, *words), progress=quiet).log for words in ((), idle)]
     for one, other in zip(*logs, strict=True):
         torch.testing.assert_close(one, other, rtol=0.0, atol=0.0)
-    idle = ("velocity_filter.window=9", "experiment.omega=2", "experiment.start_errors=2", "replay.rate=7")
+    idle = ("velocity_filter.window=9", "experiment.omega=2", "experiment.start_errors=2", "recording.rate=7")
     runs = [dynamic.simulate(changed("dynamic_run_2", *SHORT, *words), progress=quiet).log for words in ((), idle)]
     for one, other in zip(*runs, strict=True):
         torch.testing.assert_close(one, other, rtol=0.0, atol=0.0, equal_nan=True)

@@ -21,7 +21,7 @@ from apcc_torch.estimation.sensor_gate import (
     gate_recording,
 )
 from apcc_torch.lie.rotations import rotation_angle
-from apcc_torch.recordings.recording import load_recording
+from apcc_torch.recordings.recording_file import load_recording
 from apcc_torch.recordings.rest_pose import calibrate, poses_of
 from laws import check_bad_row, check_batching, generator, uniform
 
@@ -218,7 +218,7 @@ def test_a_saved_gate_comes_back_with_every_limit() -> None:
 # Stretches of the recording, and how many frames in each have disk 3 swapped, counted by hand from its jumps.
 @pytest.mark.parametrize(("first", "last", "disk3"), [(240, 620, 0), (3400, 4000, 36 + 10 + 5)])
 def test_the_marker_swaps_of_the_recorded_trunk_are_gated(first: int, last: int, disk3: int, shared_data: Path) -> None:
-    recording = load_recording(shared_data / "trunk", "trunk")
+    recording = load_recording(shared_data / "trunk", layout="trunk")
     c = calibrate(recording, direction=(0.0, -1.0, 0.0))
     T = poses_of(c, recording)
     # Swapped, by the disks themselves: disk 2 is turned by over 110 degrees against disk 1, which is never swapped.

@@ -23,7 +23,7 @@ from composed import changed
 LENGTHS = torch.tensor([0.1, 0.12, 0.11], dtype=torch.float64)
 FRAMES, REST = 60, 20
 BASE = ("replay.base_position=[0,0,0]", "replay.direction=[0,0,1]")
-QUICK = ("figures=false", "progress=false", "replay.layout=columns", *BASE)
+QUICK = ("figures=false", "progress=false", "recording.layout=table", *BASE)
 
 
 def bends() -> torch.Tensor:
@@ -55,7 +55,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def run(folder: Path, data: Path | None, *changes: str) -> dict[str, float]:
-    return replay.run(changed("replay", *QUICK, f"data={data or 'null'}", *changes), folder)
+    return replay.run(changed("replay", *QUICK, *([f"data={data}"] if data else []), *changes), folder)
 
 
 def test_folder_holds_what_was_returned_and_the_arm_is_followed(recorded: Path, tmp_path: Path) -> None:
@@ -94,7 +94,7 @@ def test_what_is_missing_is_named_and_nothing_is_written(recorded: Path, tmp_pat
     with pytest.raises(DataError, match=r"nowhere\.csv"):
         run(tmp_path, tmp_path / "nowhere.csv")
     with pytest.raises(ConfigError, match="layout"):
-        run(tmp_path, recorded, "replay.layout=rows")
+        run(tmp_path, recorded, "recording.layout=rows")
     assert not list(tmp_path.iterdir())
 
 
@@ -106,8 +106,8 @@ def test_what_is_optional_may_be_missing(kept: tuple[str, ...], recorded: Path, 
     wanted = [k for k, c in enumerate(lines[0]) if not any(o in c for o in optional) or any(o in c for o in kept)]
     path = tmp_path / "recording.csv"
     path.write_text("\n".join(",".join(line[k] for k in wanted) for line in lines) + "\n")
-    if "u" not in kept:
-        with pytest.raises(ConfigError, match=rf"replay\.rest must be given: .*{path.name} has no inputs"):
-            run(tmp_path / "refused", path)
+    # Without inputs the rest is told by stillness.
+    still = run(tmp_path / "still", path, "replay.frames=5")
     metrics = run(tmp_path / "run", path, "replay.frames=5", f"replay.rest={REST}")
+    assert still["sensor_error_linear_mean_mm"] == pytest.approx(metrics["sensor_error_linear_mean_mm"], abs=1e-3)
     assert metrics["frames"] == 5 and metrics["sensor_error_linear_mean_mm"] < 0.5

@@ -19,7 +19,7 @@ from apcc_torch.hardware.log_format import Field, Layout, layout_of, layouts
 from apcc_torch.hardware.log_reader import RobotLog, read_log
 from apcc_torch.hardware.records import Tick
 from apcc_torch.hardware.stops import StopReason
-from apcc_torch.recordings.recording import load_recording
+from apcc_torch.recordings.recording_file import load_recording
 from fake_devices import Fault
 from fake_runs import FakeRun, fake_run
 

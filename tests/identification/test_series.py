@@ -33,7 +33,7 @@ def test_a_table_is_read_in_its_units(tmp_path: Path) -> None:
         ("t,label", "t,word", "column 'label': the column is missing"),
         (",a,", ",q,", "column 'a': the column is missing"),
         ("110,0,5", "left,0,5", "column 'x', line 3: 'left' is not a number"),
-        ("110,0,5", ",0,5", "column 'x', line 3: the cell holds no finite number"),
+        ("110,0,5", "inf,0,5", "column 'x', line 3: the cell holds no finite number"),
         ("11.0,back", "9.0,back", "column 't', line 4: the time goes backward"),
         ("2,110,0,5", "2,110,0", "line 3: the line has 6 cells"),
     ],

@@ -13,7 +13,7 @@ import pytest
 
 from apcc_torch.composition.data_file import data_override
 from apcc_torch.errors import ConfigError, DataError
-from apcc_torch.recordings.data_set import DataSettings, FileSettings, located, named_set, recording_path, set_names
+from apcc_torch.recordings.data_set import DataSettings, FileSettings, located, named_set, set_names
 
 CONTENT = {"a.csv": b"t,x\n0,1\n", "b.csv": b"t,x\n0,2\n"}
 
@@ -117,8 +117,6 @@ def test_declared_sets_are_those_that_are_there(shared_data: Path) -> None:
     for name in set_names():
         data = named_set(name)
         assert located(data, str(shared_data)) == shared_data / (data.place or name)
-    assert recording_path("ftdcr", str(shared_data)) == str(shared_data / "ftdcr_v6" / "train.csv")
-    assert Path(recording_path("trunk", str(shared_data))) == shared_data / "trunk"
 
 
 def test_data_of_a_command_line(tmp_path: Path) -> None:

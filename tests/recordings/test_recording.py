@@ -12,7 +12,8 @@ from scipy.spatial.transform import Rotation
 
 from apcc_torch.errors import ApccError, ConfigError, DataError, ShapeError, ValueRangeError
 from apcc_torch.lie.rotations import quaternion_rotation
-from apcc_torch.recordings.recording import Recording, load_recording, save_recording
+from apcc_torch.recordings.recording import Recording, save_recording
+from apcc_torch.recordings.recording_file import load_recording
 from apcc_torch.recordings.rest_pose import calibrate
 from laws import check_batching, generator, normal
 
@@ -96,10 +97,9 @@ def cell(text: str, line: int, column: str, value: str) -> str:
 
 
 DAMAGE = {
-    "missing column": (lambda t: cell(t, 1, "low_qy", "low_qY"), "column 'low_qy': the column is missing"),
+    "missing column": (lambda t: cell(t, 1, "low_qy", "low_odd"), "column 'low_qy': the column is missing"),
     "missing input": (lambda t: cell(t, 1, "u2", "v2"), "column 'u2': the column is missing"),
-    "missing time": (lambda t: cell(t, 1, "time", "t"), "column 'time': the column is missing"),
-    "repeated column": (lambda t: cell(t, 1, "u2", "u1"), "column 'u1': the column is there more than once"),
+    "repeated column": (lambda t: cell(t, 1, "u3", "u1"), "column 'u1': the column is there more than once"),
     "text": (lambda t: cell(t, 4, "u3", "fast"), "column 'u3', line 4: 'fast' is not a number"),
     "empty": (lambda t: cell(t, 4, "the_tip_z", ""), "column 'the_tip_z', line 4: the cell holds no finite number"),
     "infinite": (lambda t: cell(t, 5, "u1", "inf"), "column 'u1', line 5: the cell holds no finite number"),
@@ -134,11 +134,11 @@ def test_files_that_are_not_there_or_not_text(tmp_path: Path) -> None:
     with pytest.raises(DataError, match="it is not UTF-8"):
         load_recording(tmp_path)
     with pytest.raises(DataError, match="0 files"):
-        load_recording(tmp_path, "trunk")
-    with pytest.raises(ConfigError, match="layout must be one of columns, trunk"):
-        load_recording(tmp_path, "other")
-    with pytest.raises(ConfigError, match="rate"):
-        load_recording(tmp_path, "trunk", rate=0.0)
+        load_recording(tmp_path, layout="trunk")
+    with pytest.raises(ConfigError, match="layout must be one of auto, table, trunk"):
+        load_recording(tmp_path, layout="other")
+    with pytest.raises(ValueRangeError, match="rate"):
+        load_recording(tmp_path, layout="trunk", rate=0.0)
 
 
 def test_stamps_that_cannot_tell_frames_apart_are_refused() -> None:
@@ -176,7 +176,7 @@ def write_trunk(folder: Path, frames: int = 4, commands: int = 3) -> None:
 def test_the_trunk_layout(tmp_path: Path) -> None:
     write_trunk(tmp_path)
     for path in (tmp_path, tmp_path / "observations_a_1.csv"):
-        r = load_recording(path, "trunk", rate=50.0)
+        r = load_recording(path, layout="trunk", rate=50.0)
         assert len(r) == 3 and r.names == ("disk1", "disk2")
         assert r.times.tolist() == [0.0, 0.02, 0.04]
         assert r.position[2].tolist() == [[1, 2, 3], [4, 5, 6]]
@@ -184,27 +184,27 @@ def test_the_trunk_layout(tmp_path: Path) -> None:
         assert r.inputs is not None and r.inputs[2].tolist() == [20, 0]
         assert r.actuators is not None and r.actuators[:, 0].tolist() == [0.5, 1.5, 2.5]
     (tmp_path / "control_inputs_a_1.csv").unlink()
-    alone = load_recording(tmp_path, "trunk")
+    alone = load_recording(tmp_path, layout="trunk")
     assert len(alone) == 4 and alone.inputs is None
 
 
 def test_positions_alone_are_a_recording(tmp_path: Path) -> None:
     (tmp_path / "observations_p.csv").write_text("ID,x1,y1,z1,phi1\n0,1,2,3,0.5\n1,1,2,4,0.6\n")
-    r = load_recording(tmp_path, "trunk")
+    r = load_recording(tmp_path, layout="trunk")
     assert r.position[:, 0].tolist() == [[1, 2, 3], [1, 2, 4]]
     assert bool(r.quaternion.isnan().all()) and bool(r.rotation.isnan().all())
-    with pytest.raises(DataError, match="'disk1' has no orientation"):
-        calibrate(r, rest=2, base_position=[1.0, 2.0, 0.0], direction=[0.0, 0.0, 1.0])
+    found = calibrate(r, rest=2, base_position=[1.0, 2.0, 0.0], direction=[0.0, 0.0, 1.0])
+    assert found.abscissae.tolist() == [3.5] and bool(found.mount_rotation.isfinite().all())
     (tmp_path / "observations_p.csv").write_text("ID,x1,y1,z1,qx1\n0,1,2,3,0.5\n")
     with pytest.raises(DataError, match="column 'qy1': the column is missing"):
-        load_recording(tmp_path, "trunk")
+        load_recording(tmp_path, layout="trunk")
 
 
 @pytest.mark.parametrize(("frames", "commands"), [(4, 2), (4, 5)])
 def test_the_trunk_files_must_agree_in_length(frames: int, commands: int, tmp_path: Path) -> None:
     write_trunk(tmp_path, frames, commands)
     with pytest.raises(DataError, match=rf"control_inputs_a_1.*holds {commands} data lines where .* holds {frames}"):
-        load_recording(tmp_path, "trunk")
+        load_recording(tmp_path, layout="trunk")
 
 
 def test_a_line_missing_from_the_middle_is_named(tmp_path: Path) -> None:
@@ -213,11 +213,11 @@ def test_a_line_missing_from_the_middle_is_named(tmp_path: Path) -> None:
     lines = path.read_text().splitlines()
     path.write_text("\n".join(lines[:2] + lines[3:]) + "\n")
     with pytest.raises(DataError, match="column 'ID', line 3"):
-        load_recording(tmp_path, "trunk")
+        load_recording(tmp_path, layout="trunk")
 
 
 def test_the_recorded_trunk(shared_data: Path, tmp_path: Path) -> None:
-    r = load_recording(shared_data / "trunk", "trunk")
+    r = load_recording(shared_data / "trunk", layout="trunk")
     assert len(r) == 6000 and r.names == ("disk1", "disk2", "disk3")
     assert r.inputs is not None and r.inputs.shape == (6000, 6)
     assert r.actuators is not None and r.actuators.shape == (6000, 6)

@@ -26,7 +26,8 @@ from apcc_torch.estimation.state_feedback import StateFeedback
 from apcc_torch.model.abscissae import decouple
 from apcc_torch.model.backbone import PCCBackbone
 from apcc_torch.recordings.recorded_arm import TRUNK_BASE, gate_frames, recorded_arm
-from apcc_torch.recordings.recording import Recording, load_recording
+from apcc_torch.recordings.recording import Recording
+from apcc_torch.recordings.recording_file import load_recording
 from apcc_torch.recordings.replay import held_out_error, replay
 from apcc_torch.recordings.replay_log import read_replay, replay_metrics, sensor_errors, write_replay
 from apcc_torch.recordings.rest_pose import poses_of
@@ -378,7 +379,7 @@ def test_bad_recordings_and_arguments_give_one_clear_error() -> None:
 
 @pytest.fixture(scope="module")
 def trunk(shared_data: Path) -> Recording:
-    return load_recording(shared_data / "trunk", "trunk")
+    return load_recording(shared_data / "trunk", layout="trunk")
 
 
 def test_the_recorded_trunk_is_followed(trunk: Recording) -> None:

@@ -15,7 +15,8 @@ from torch import Tensor
 from apcc_torch.errors import DataError, ValueRangeError
 from apcc_torch.estimation.rest_calibration import RestCalibration
 from apcc_torch.lie.rotations import chordal_mean, rotation_angle
-from apcc_torch.recordings.recording import Recording, load_recording
+from apcc_torch.recordings.recording import Recording
+from apcc_torch.recordings.recording_file import load_recording
 from apcc_torch.recordings.rest_pose import calibrate, poses_of, rest_frame_count
 from laws import check_batching, generator, normal, poses, rotations
 
@@ -115,8 +116,11 @@ def test_rest_ends_where_the_inputs_move() -> None:
     assert rest_frame_count(recording) == 25
     still = dataclasses.replace(recording, inputs=torch.ones(40, 2, dtype=torch.float64))
     assert rest_frame_count(still) == 40
+    ramp = 0.01 * torch.arange(40, dtype=torch.float64).view(-1, 1, 1)
+    moving = dataclasses.replace(recording, inputs=None, position=recording.position[:1] + ramp)
     with pytest.raises(ValueRangeError, match="rest must be given"):
-        calibrate(dataclasses.replace(recording, inputs=None))
+        calibrate(moving)
+    assert calibrate(dataclasses.replace(recording, inputs=None)).rest_frames in (25, 26)
     assert calibrate(dataclasses.replace(recording, inputs=None), rest=20).rest_frames == 20
 
 
@@ -185,7 +189,7 @@ def test_json_round_trip_is_exact_and_damage_is_named(tmp_path: Path) -> None:
 
 
 def test_the_recorded_trunk_hangs_straight(shared_data: Path) -> None:
-    recording = load_recording(shared_data / "trunk", "trunk")
+    recording = load_recording(shared_data / "trunk", layout="trunk")
     c = calibrate(recording, direction=(0.0, -1.0, 0.0))
     assert c.rest_frames == 203
     torch.testing.assert_close(
