@@ -24,7 +24,7 @@ MAX_LINES = 330
 LAYERS: tuple[tuple[str, ...], ...] = (
     ("beginning", "plain_text"),
     ("errors",),
-    ("conf_path", "files", "modes", "processes", "spread"),
+    ("bars", "conf_path", "files", "modes", "processes", "spread"),
     ("annotations",),
     ("settings", "shapes"),
     ("part",),
@@ -46,7 +46,7 @@ LAYERS: tuple[tuple[str, ...], ...] = (
     ("report",),
     ("experiments",),
     ("paper",),
-    ("sweeps",),
+    ("completion", "sweeps"),
     ("composed", "new_arm", "simulate"),
     ("benchmark", "evaluate", "identify", "report.__main__", "robot", "robot_log"),
 )
@@ -56,7 +56,7 @@ APART: dict[str, frozenset[str]] = {"hardware": frozenset({"simulation"})}
 
 # Who alone may import a heavy or program-only library.
 RESTRICTED: dict[str, frozenset[str]] = {
-    "hydra": frozenset({"benchmark", "composed", "evaluate", "identify", "robot", "simulate", "sweeps"}),
+    "hydra": frozenset({"benchmark", "completion", "composed", "evaluate", "identify", "robot", "simulate", "sweeps"}),
     "matplotlib": frozenset({"report", "report.__main__"}),
     "gymnasium": frozenset({"envs"}),
     "stable_baselines3": frozenset({"envs"}),
