@@ -264,6 +264,14 @@ def snapshots(log: DynamicLog, arms: Arms, row: int, count: int | None) -> Snaps
     )
 
 
+def true_sections(arms: Arms) -> Tensor | None:
+    """(n_b,) rest lengths of the true arm in the model's sections, m; None where it has no such sections."""
+    n_b, n_true = arms.model.n_sections, arms.true_lengths.shape[-1]
+    if arms.true_lengths.dim() != 1 or n_true % n_b:
+        return None
+    return arms.true_lengths.unflatten(-1, (n_b, -1)).sum(-1)
+
+
 def draw(outcome: Outcome, folder: Path, name: str = "run", c: figures.RunCurves | None = None) -> None:
     """The paper's figures of one run, and a film of its last row.
 
@@ -280,7 +288,7 @@ def draw(outcome: Outcome, folder: Path, name: str = "run", c: figures.RunCurves
     pictures: dict[str, Draw] = {
         "shape_error.png": lambda: figures.shape_error_figure(runs),
         "psi.png": lambda: figures.psi_figure(runs),
-        "parameters.png": lambda: figures.parameter_figure(runs),
+        "parameters.png": lambda: figures.parameter_figure(runs, true=true_sections(outcome.arms)),
         "sensors.png": lambda: figures.sensor_figure(runs),
         "end_effector.png": lambda: figures.end_effector_figure(runs),
         "mapping_error.png": lambda: figures.mapping_error_figure(runs),

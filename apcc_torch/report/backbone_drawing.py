@@ -110,8 +110,9 @@ def draw_target(space: Space, target: Array, size: float = 16.0) -> Line2D:
     return space.plot(target.reshape(-1, 3), markeredgecolor="white", markeredgewidth=0.9, zorder=6.0, **look)
 
 
-def draw_base(space: Space, half: float = 0.04) -> None:
-    """The plate that the arm is fixed to, at the origin."""
+def draw_base(space: Space) -> None:
+    """The plate that the arm is fixed to, at the origin; it goes with the size of what is shown."""
+    half = 0.06 * float((space.box.high - space.box.low).max())
     ring = np.array([(-half, -half, 0.0), (half, -half, 0.0), (half, half, 0.0), (-half, half, 0.0)])
     flat = Polygon(space.camera.project(ring), closed=True, facecolor="#cbd2d9", edgecolor=style.EDGE, zorder=1.5)
     space.ax.add_patch(flat)
