@@ -102,8 +102,13 @@ def log_scale(ax: Axes, data: Sequence[Array], decades: float = 5.0) -> None:
         high = max(high, float(10.0 ** np.ceil(np.log10(top))))
     ax.set_ylim(low, high)
     ax.yaxis.set_major_locator(LogLocator(10, numticks=6))
-    ax.yaxis.set_major_formatter(FuncFormatter(lambda v, _: f"{v:g}"))
+    ax.yaxis.set_major_formatter(FuncFormatter(lambda v, _: decade(v)))
     ax.yaxis.set_minor_formatter(NullFormatter())
+
+
+def decade(value: float) -> str:
+    """A number of a logarithmic axis: 0.01, 1, 1000; a small or large power of ten as a formula."""
+    return f"{value:g}" if 1e-3 <= value < 1e4 else rf"$10^{{{round(np.log10(value))}}}$" if value > 0 else ""
 
 
 def from_zero(ax: Axes, headroom: float = 1.08) -> None:
