@@ -56,7 +56,8 @@ class RealtimeSettings(RunSettings):
     """Root of `python -m apcc_torch.robot`."""
 
     elsewhere: ClassVar[Mapping[str, str]] = dict.fromkeys(
-        (name for name in names(SimulateSettings) if name not in names(RunSettings)), "python -m apcc_torch.simulate"
+        (name for name in names(SimulateSettings) if name not in (*names(RunSettings), "figures")),
+        "python -m apcc_torch.simulate",
     )
 
     compile: str = setting(
@@ -76,6 +77,7 @@ class RealtimeSettings(RunSettings):
     dry_run: bool = setting(False, meaning="everything but torque; the log says what would be sent")
     view: bool = setting(True, meaning="the live view, where there is a terminal")
     log: bool = setting(True, meaning="write log.mcap")
+    figures: bool = setting(True, meaning="write the figures, once the run has ended")
 
     def check(self) -> None:
         """Raises where the clamps of the commands are no ranges of the arm's tendons."""
@@ -117,7 +119,7 @@ def _of_a_calibration(c: RealtimeSettings) -> Unread:
     yield f"{groups} {_below('experiment', targets)}", "a calibration runs no controller"
     loop = [name for name in names(LoopSettings) if name != "rate"]
     guards = [name for name in names(GuardSettings) if name not in ("limits", "effort_cap")]
-    yield f"view log {_below('loop', loop)} {_below('guards', guards)}", "a calibration runs no loop"
+    yield f"view log figures {_below('loop', loop)} {_below('guards', guards)}", "a calibration runs no loop"
     if not c.calibration.check_signs:
         pulled = "loop.rate guards.limits guards.effort_cap calibration.pull"
         yield pulled, "calibration.check_signs is false, and no tendon is pulled"

@@ -39,7 +39,8 @@ def overlay_figure(moments: Mapping[str, Overlay]) -> Figure:
         dot = {"linestyle": "none", "markeredgecolor": "white"}
         ax.plot(sensors[:, 1], sensors[:, 2], marker="o", color=style.SENSOR, label="sensors", **dot)
         ax.plot(target[1], target[2], marker="*", markersize=15, color=style.TARGET, label="target", **dot)
-        style.dress(ax, "y (m)", "z (m)", name)
+        style.dress(ax, "y (m)", "z (m)" if ax is axes[0] else "", name)
+        ax.locator_params(nbins=5)
         ax.set_aspect("equal", adjustable="box")
     handles, labels = axes[0].get_legend_handles_labels()
     look = {"frameon": False, "fontsize": style.LEGEND, "labelcolor": style.INK}

@@ -31,7 +31,7 @@ DIVERGED = "diverged_rows"
 """A run with any ranks last, whatever its other metrics are."""
 SETTLED, TIP = "settled_share", "end_effector_error_end_mm"
 ARRIVED = 10.0
-"""Tip error at the end, mm, within which a run has come to its target, where it does not say which rows have settled."""
+"""Tip error at the end, mm, with which a run has come to its target, where it does not say what share has settled."""
 HIGHER_IS_BETTER = ("settled_share",)
 LISTED = 10
 """Most runs that the terminal remarks on."""
