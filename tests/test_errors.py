@@ -19,12 +19,12 @@ def test_one_error_stays_what_it_is_and_several_become_one() -> None:
     checks.end()
     with checks.one():
         raise ValueRangeError("a")
-    with pytest.raises(ValueRangeError, match="^a$"):
+    with pytest.raises(ValueRangeError, match=r"^a$"):
         checks.end()
     for text in ("a", "b"):  # a sentence that was told is told once
         with checks.one():
             raise ConfigError(text)
-    with pytest.raises(MismatchError, match="^a\nb$") as several:
+    with pytest.raises(MismatchError, match=r"^a\nb$") as several:
         checks.end()
     assert str(begun_with("x.", several.value)) == "x.a\nx.b"
     assert str(pickle.loads(pickle.dumps(several.value))) == "a\nb"

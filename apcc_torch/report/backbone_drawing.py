@@ -176,7 +176,9 @@ def stroboscopic_figure(
     everything += [values(s.target) for s in runs.values() if s.target is not None]
     box = bounding_box(*everything)
     rows = len(runs) * len(views)
-    figure = style.new_figure(10.0, 1.25 + 2.7 * rows, constrained=False)
+    across, up = float((box.high - box.low)[:2].max()), float((box.high - box.low)[2])
+    tall = min(max(2.0 * up / across, 2.7), 3.6)  # a hanging arm is narrow: it is shown as large as the width allows
+    figure = style.new_figure(10.0, 1.25 + tall * rows, constrained=False)
     height = figure.get_figheight()
     grid = figure.add_gridspec(
         rows, 3, left=0.045, right=0.995, bottom=0.4 / height, top=1 - 0.85 / height, wspace=0.02, hspace=0.03

@@ -25,7 +25,7 @@ GAP = 3.0
 """Between an edge, its numbers and its name, points."""
 SHORTEST = 34.0
 """Of an edge with numbers, points."""
-ROOM, BARE = ((50.0, 36.0), (14.0, 6.0)), (4.0, 4.0)
+ROOM, BARE = ((60.0, 36.0), (14.0, 6.0)), (4.0, 4.0)
 """Around a box with and without numbers, points: left and below, right and above."""
 STEPS = tuple(float(f"{m}e{e}") for e in range(-5, 4) for m in (1, 2, 5))
 """Between numbers along an edge, m."""

@@ -125,7 +125,7 @@ def faded(color: str, strength: float) -> tuple[float, float, float]:
 
 def digits(value: float) -> str:
     """A number with three significant digits, trailing zeros kept: 1.30, 0.0412, 123; 4.12 10^-6 as a formula."""
-    text = f"{value:#.3g}".rstrip(".")
+    text = f"{value:.0f}" if 1e3 <= abs(value) < 1e6 else f"{value:#.3g}".rstrip(".")
     head, exponent, power = text.partition("e")
     return rf"${head.rstrip('.')}\cdot 10^{{{int(power)}}}$" if exponent else text
 

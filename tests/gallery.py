@@ -58,7 +58,7 @@ def log_of(arm: Arm, rows: int = 1, T: int = 61) -> KinematicLog:
     x = backbone.tip(q_true, pi)
     error = left * torch.rand(rows, len(arm.sensor_places()), generator=g, dtype=D) * 0.1 * float(pi.sum())
     x_d = x + left * 0.2 * float(pi.sum())
-    q_bar = q_true + 0.2 * left
+    q_bar = q_true + 0.2 * left * torch.tensor([1.0, 1.0, 0.1 * float(pi.mean())], dtype=D).repeat(n)
     return KinematicLog(
         time, x_d, x, q_true, q_bar, torch.zeros_like(q_bar), pi_hat, error, 2 * error, torch.zeros(T, rows).long()
     )
@@ -258,21 +258,27 @@ def comparison_drawings(arm: Arm) -> dict[str, Draw]:
 
 def everything() -> Iterator[tuple[str, Draw]]:
     """Name -> what draws it."""
-    for name, arm in ARMS.items():
-        sets: list[tuple[str, dict[str, Draw]]] = [
-            (name, kinematic_drawings(arm, 32 if name == "60cm" else 1)),
-            (name, dynamic_drawings(arm, {"6cm": 1, "60cm": 32, "3m": 2}[name], {"6cm": 1e-5}.get(name, 0.01))),
-            (name, stroboscopes(arm)),
-            (name, comparison_drawings(arm) if name != "6cm" else {}),
-            (name, estimator_drawings(arm)),
-        ]
-        for prefix, drawings in sets:
-            yield from ((f"{prefix}, {each}", draw) for each, draw in drawings.items())
-    for label, drawings in {
+    small, middle, large = ARMS.values()
+    few = {name: draw for name, draw in dynamic_drawings(small, 1, 1e-5).items() if name in ("sensors", "parameters")}
+    warnings = {
+        f"warned {name}": partial(lambda draw: warned(draw(), WARNING), draw)
+        for name, draw in {**kinematic_drawings(middle, 1), **stroboscopes(large)}.items()
+        if name in ("figure_7.png", "stroboscopic")
+    }
+    sets: dict[str, dict[str, Draw]] = {
+        **{f"{name}, kinematic": kinematic_drawings(arm, rows) for (name, arm), rows in zip(ARMS.items(), (1, 32, 2), strict=True)},
+        **{f"{name}, shapes": stroboscopes(arm) for name, arm in ARMS.items()},
+        "6cm, one run": few,
+        "3m, 32 runs": dynamic_drawings(large, 32),
+        "warnings": warnings,
+        "comparisons": comparison_drawings(middle),
+        "estimators, 6cm": estimator_drawings(small),
+        "estimators, 3m": estimator_drawings(large),
         "1 section, 1 sensor": replay_drawings(1, 1),
         "5 sections, 7 sensors": replay_drawings(7, 5),
         "4 parameters of 6 cm": identification_drawings(4, 0.06),
         "60 parameters of 3 m": identification_drawings(60, 3.0),
-        "evaluate": evaluation_drawings(),
-    }.items():
-        yield from ((f"{label}, {each}", draw) for each, draw in drawings.items())
+        "leaderboard": evaluation_drawings(),
+    }
+    for name, drawings in sets.items():
+        yield from ((f"{name}, {each}", draw) for each, draw in drawings.items())
