@@ -195,7 +195,8 @@ def test_a_click_on_a_heading_sorts_and_another_turns_it_round(browser: Any, man
 def test_a_column_is_filtered_by_an_expression(
     browser: Any, many: Path, name: str, expression: str, count: int
 ) -> None:
-    opened(browser, many)
+    if browser.current_url != many.as_uri():  # each leaves it as it was
+        opened(browser, many)
     before = painted(browser)
     write(browser, f"[data-filter='{name}']", expression)
     assert shown(browser) == f"{count:,} of 10,000 runs pass the filters"
