@@ -266,7 +266,10 @@ def everything() -> Iterator[tuple[str, Draw]]:
         if name in ("figure_7.png", "stroboscopic")
     }
     sets: dict[str, dict[str, Draw]] = {
-        **{f"{name}, kinematic": kinematic_drawings(arm, rows) for (name, arm), rows in zip(ARMS.items(), (1, 32, 2), strict=True)},
+        **{
+            f"{name}, kinematic": kinematic_drawings(arm, rows)
+            for (name, arm), rows in zip(ARMS.items(), (1, 32, 2), strict=True)
+        },
         **{f"{name}, shapes": stroboscopes(arm) for name, arm in ARMS.items()},
         "6cm, one run": few,
         "3m, 32 runs": dynamic_drawings(large, 32),

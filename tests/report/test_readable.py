@@ -8,10 +8,10 @@ import pkgutil
 from collections.abc import Callable, Iterator
 from typing import Any
 
-import gallery
 import pytest
 from matplotlib.figure import Figure
 
+import gallery
 import readable
 from apcc_torch import report
 from apcc_torch.report import style
