@@ -14,11 +14,12 @@ from apcc_torch.report.arm_drawing import arm_figure
 from apcc_torch.report.style import BLUE, EDGE, GREEN, INK, MUTED, ORANGE, VERMILION, new_figure, own_look, save_figure
 
 IMAGES = Path(__file__).resolve().parent.parent / "docs" / "images"
+CHAINS = "two chains that\ncarry power\nand bus;\nids in the order\nof the tendons,\n1 Mbit/s"
 BOXES = {
     "supply": (0.1, 4.2, 1.9, 0.8, "12 V supply", "15 A or more"),
     "stop": (2.9, 4.2, 1.9, 0.8, "emergency stop", "latching, in the 12 V line"),
     "hub": (5.7, 4.2, 1.9, 0.8, "power hub", "feeds the motors"),
-    "motors": (8.4, 2.6, 1.6, 2.4, "motors 1 to 9", "two chains that\ncarry power\nand bus;\nids in the order\nof the tendons,\n1 Mbit/s"),
+    "motors": (8.4, 2.6, 1.6, 2.4, "motors 1 to 9", CHAINS),
     "u2d2": (5.7, 2.6, 1.9, 0.8, "U2D2", "RS-485 port"),
     "pi": (2.9, 2.6, 1.9, 0.8, "Raspberry Pi 5", "apcc_torch.robot"),
     "switch": (2.9, 1.3, 1.9, 0.7, "network switch", "a subnet of their own"),
@@ -63,7 +64,7 @@ def wiring_figure() -> Figure:
 
 def _join(ax: Axes, a: tuple[float, ...], b: tuple[float, ...], color: str) -> None:
     """A line between the facing sides of two boxes."""
-    (ax0, ay0, aw, ah), (bx0, by0, bw, bh) = a, b
+    (ax0, ay0, aw, ah), (bx0, by0, _, bh) = a, b
     if ax0 + aw < bx0:
         y = max(ay0, by0) + min(ah, bh) / 2
         ax.plot((ax0 + aw, bx0), (y, y), color=color, linewidth=3.0, zorder=1)
@@ -80,7 +81,8 @@ def main() -> None:
     out = parser.parse_args().out
     with own_look():
         save_figure(wiring_figure(), out / "wiring.png", dpi=110)
-        save_figure(arm_figure(Arm.load("arm_1").changed(name="platform", layout="independent")), out / "platform_arm.png", dpi=110)
+        platform = Arm.load("arm_1").changed(name="platform", layout="independent")
+        save_figure(arm_figure(platform), out / "platform_arm.png", dpi=110)
 
 
 if __name__ == "__main__":
