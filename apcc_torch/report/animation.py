@@ -6,6 +6,7 @@ import textwrap
 from collections.abc import Iterator, Mapping
 from itertools import chain
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.artist import Artist
@@ -66,7 +67,13 @@ class Stage:
         if warning:
             lines = textwrap.wrap(warning.replace("\n", "; "), 85)[:2]
             foot = 0.02 + 0.05 * len(lines)
-            look = {"va": "bottom", "ha": "center", "color": style.SENSOR, "fontsize": 10.0, "fontweight": "bold"}
+            look: dict[str, Any] = {
+                "va": "bottom",
+                "ha": "center",
+                "color": style.SENSOR,
+                "fontsize": 10.0,
+                "fontweight": "bold",
+            }
             self.figure.text(0.5, 0.012, "\n".join(lines), **look)
         self._scene(camera, foot)
         self._curves(foot)

@@ -154,7 +154,8 @@ def draw_views(spaces: Sequence[Space], shots: Snapshots, markers_on_true: bool 
 
 def span_text(time: Tensor) -> str:
     """ "pale to dark: t = 0 to 3 s"."""
-    return f"pale to dark: t = {float(time[0]):.3g} to {float(time[-1]):.3g} s"
+    begin = max(float(time[0]), 0.0)  # an arm's first frame may be from just before its run
+    return f"pale to dark: t = {begin:.3g} to {float(time[-1]):.3g} s"
 
 
 def stroboscopic_figure(

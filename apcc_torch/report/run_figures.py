@@ -34,7 +34,8 @@ def at_moments(shots: Snapshots, count: int = MOMENTS) -> Snapshots:
     at = sorted({round(k * (T - 1) / max(count - 1, 1)) for k in range(count)})
     target = shots.target
     kept = target if target is None or target.dim() == 1 else target[at]
-    return Snapshots(*(field[at] for field in shots[:5]), kept)
+    time, true, model, on_true, on_model = (field[at] for field in shots[:5])
+    return Snapshots(time, true, model, on_true, on_model, kept)
 
 
 def run_figures(

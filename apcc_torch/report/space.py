@@ -209,7 +209,7 @@ class Space:
 
     def _text(self, text: str, at: Array, offset: Array, **look: Any) -> None:
         x, y = self.camera.project(at)
-        middle = {"ha": "center", "va": "center", "textcoords": "offset points"}
+        middle: dict[str, Any] = {"ha": "center", "va": "center", "textcoords": "offset points"}
         self.ax.annotate(text, (float(x), float(y)), (float(offset[0]), float(offset[1])), **middle, **look)
 
 

@@ -242,7 +242,7 @@ def warned(figure: Figure, warning: str | None) -> Figure:
     figure.text(0.5, 0.07 / whole, "\n".join(lines), ha="center", va="bottom", **WARNING)
     engine = figure.get_layout_engine()
     if engine is not None:
-        engine.set(rect=(0.0, strip / whole, 1.0, height / whole))
+        engine.set(rect=(0.0, strip / whole, 1.0, height / whole))  # type: ignore[call-arg]
         figure.set_size_inches(width, whole)
         return figure
     anchors = [each.get_bbox_to_anchor().transformed(figure.transFigure.inverted()) for each in figure.legends]

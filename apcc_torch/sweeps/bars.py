@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import sys
 import threading
-from typing import NamedTuple, Never, TextIO
+from typing import Any, NamedTuple, Never, TextIO
 
 from tqdm import tqdm
 
@@ -87,7 +87,13 @@ class SweepBars:
             bar.close()
 
     def _bar(self, position: int, total: int, label: str) -> tqdm[Never]:
-        look = {"total": total, "desc": label, "position": position, "bar_format": LAYOUT, "leave": position == 0}
+        look: dict[str, Any] = {
+            "total": total,
+            "desc": label,
+            "position": position,
+            "bar_format": LAYOUT,
+            "leave": position == 0,
+        }
         made: tqdm[Never] = terminal_bar(file=self.file, **look)
         return made
 

@@ -13,7 +13,7 @@ from typing import Any, ClassVar
 
 from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
 from hydra.core.override_parser.overrides_parser import OverridesParser
-from hydra.core.override_parser.types import Override
+from hydra.core.override_parser.types import IntervalSweep, Override
 from omegaconf import DictConfig, OmegaConf, open_dict, read_write
 
 from apcc_torch.composition.run_settings import SimulateSettings
@@ -108,9 +108,9 @@ def check_jobs(config: DictConfig) -> None:
 
 def _tried(override: Override) -> Override:
     """What a search may draw of a key, as a sweep: its choices, or the ends of its interval."""
-    if not override.is_interval_sweep():
-        return override
     ends = override.value()
+    if not isinstance(ends, IntervalSweep):
+        return override
     return OverridesParser.create().parse_override(f"{override.get_key_element()}={ends.start},{ends.end}")
 
 
