@@ -14,6 +14,7 @@ from hydra.errors import HydraException
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
+from apcc_torch.completion import answered
 from apcc_torch.composed import initialised
 from apcc_torch.composition.arguments import options_first
 from apcc_torch.composition.arm_file import arm_override
@@ -134,6 +135,8 @@ def _hydra_main(cfg: DictConfig) -> None:
 
 def main() -> None:
     """Console entry point."""
+    if answered("benchmark", sys.argv[1:]):
+        return
     with held_folder(), refusals("benchmark"):
         check_words(sys.argv[1:], BenchmarkSettings, "benchmark")
         sys.argv[1:] = options_first(sys.argv[1:])

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from typing import Self
 
 from apcc_torch.plain_text import for_terminal
 
@@ -40,6 +41,29 @@ class ConfigError(ApccError, ValueError):
     """A configuration names an unknown key, an unknown choice, or a value of the wrong type."""
 
 
+class MismatchError(ConfigError, ValueRangeError):
+    """Several values do not fit: the sentence of each, one a line.
+
+    Args:
+        errors: Two or more, in order.
+
+    Example:
+        >>> try:
+        ...     Arm(lengths=[0.2, 0.25], masses=[0.1], sensors=[0.5])
+        ... except MismatchError as error:
+        ...     print(error)
+        sensors must lie on the arm, 0.45 m long, got [0.5]
+        masses must have 2 entries, got 1
+    """
+
+    def __init__(self, errors: Sequence[ApccError]) -> None:
+        self.errors = tuple(errors)
+        super().__init__("\n".join(map(str, errors)))
+
+    def __reduce__(self) -> tuple[type[Self], tuple[object, ...]]:
+        return type(self), (self.errors,)
+
+
 class DataError(ApccError, ValueError):
     """A recording or a run folder is missing, truncated or not in the documented layout."""
 
@@ -70,6 +94,47 @@ class CompileError(ApccError, RuntimeError):
 
 class GradientError(ApccError, RuntimeError):
     """A derivative was asked for that is not provided."""
+
+
+def begun_with(head: str, error: ApccError) -> ApccError:
+    """The same error with `head` before its sentence, before each of them where it has several."""
+    if isinstance(error, MismatchError):
+        return MismatchError([begun_with(head, each) for each in error.errors])
+    return type(error)(f"{head}{error}")
+
+
+class Checks:
+    """Checks that are all made before what any of them refuses is raised.
+
+    Example:
+        >>> checks = Checks()
+        >>> for value in (1.0, -1.0, -2.0):
+        ...     with checks.one():
+        ...         check_setting("mass", value)
+        >>> len(checks.errors)
+        2
+    """
+
+    def __init__(self) -> None:
+        self.errors: list[ApccError] = []
+
+    @contextmanager
+    def one(self) -> Iterator[None]:
+        """Within, one check: what it refuses is kept."""
+        try:
+            yield
+        except MismatchError as several:
+            self.errors += several.errors
+        except ApccError as error:
+            self.errors.append(error)
+
+    def end(self) -> None:
+        """Raises what was refused: a single error as it is, several as `MismatchError`, each sentence once."""
+        once = list({str(error): error for error in self.errors}.values())
+        if len(once) == 1:
+            raise once[0]
+        if once:
+            raise MismatchError(once)
 
 
 def in_a_line(error: BaseException) -> str:

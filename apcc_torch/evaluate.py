@@ -10,6 +10,7 @@ from hydra.core.config_store import ConfigStore
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
+from apcc_torch.completion import answered
 from apcc_torch.composition.arguments import options_first
 from apcc_torch.composition.arm_file import arm_override
 from apcc_torch.composition.data_file import data_override
@@ -27,7 +28,9 @@ from apcc_torch.sweeps.claim import check_options, given, held_folder, refusals
 log = plain_logger("apcc_torch.evaluate")
 
 ConfigStore.instance().store(name="evaluate_schema", node=schema(EvaluateSettings))
-describe("evaluate", EvaluateSettings)
+CHOICE = "data=trunk_payload"
+"""Without it not every key is there: what `--help` and TAB take where none is made."""
+describe("evaluate", EvaluateSettings, unread=of_a_fit, choice=CHOICE)
 
 
 @hydra.main(version_base="1.3", config_path=conf_path(), config_name="evaluate")
@@ -42,9 +45,11 @@ def _hydra_main(cfg: DictConfig) -> None:
 
 def main() -> None:
     """Console entry point."""
+    if answered("evaluate", sys.argv[1:]):
+        return
     with held_folder(), refusals("evaluate"):
         check_words(sys.argv[1:], EvaluateSettings, "evaluate")
-        sys.argv[1:] = options_first(arm_override(data_override(for_manual(sys.argv[1:], "data=trunk_payload"))))
+        sys.argv[1:] = options_first(arm_override(data_override(for_manual(sys.argv[1:], CHOICE))))
         check_options("evaluate")
         _hydra_main()
 

@@ -10,6 +10,7 @@ from hydra.core.config_store import ConfigStore
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
+from apcc_torch.completion import answered
 from apcc_torch.composition.arguments import options_first
 from apcc_torch.composition.arm_file import arm_override
 from apcc_torch.composition.data_file import data_override
@@ -26,7 +27,9 @@ from apcc_torch.sweeps.claim import check_options, given, held_folder, refusals
 log = plain_logger("apcc_torch.identify")
 
 ConfigStore.instance().store(name="identify_schema", node=schema(IdentifySettings))
-describe("identify", IdentifySettings)
+CHOICE = "arm=ftdcr_v6"
+"""Without it not every key is there: what `--help` and TAB take where none is made."""
+describe("identify", IdentifySettings, unread=of_a_fit, choice=CHOICE)
 
 
 @hydra.main(version_base="1.3", config_path=conf_path(), config_name="identify")
@@ -43,9 +46,11 @@ def _hydra_main(cfg: DictConfig) -> float:
 
 def main() -> None:
     """Console entry point."""
+    if answered("identify", sys.argv[1:]):
+        return
     with held_folder(), refusals("identify"):
         check_words(sys.argv[1:], IdentifySettings, "identify")
-        words = for_manual(sys.argv[1:], "arm=ftdcr_v6")
+        words = for_manual(sys.argv[1:], CHOICE)
         sys.argv[1:] = options_first(arm_override(data_override(words, IdentifySettings)))
         check_options("identify")
         _hydra_main()

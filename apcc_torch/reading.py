@@ -13,9 +13,9 @@ from torch import Tensor
 
 from apcc_torch.annotations import is_finite, shown
 from apcc_torch.classes import Trust, class_named, name_of
-from apcc_torch.errors import ApccError, ConfigError
+from apcc_torch.errors import ApccError, Checks, ConfigError, begun_with
 from apcc_torch.part import part_of
-from apcc_torch.settings import Settings, about_of, default_of, did_you_mean, differs, keys, names
+from apcc_torch.settings import Settings, about_of, check_field, default_of, did_you_mean, differs, keys, names
 
 Root = TypeVar("Root", bound=Settings)
 
@@ -42,23 +42,34 @@ def read(
     Raises:
         ConfigError: A key is unknown or missing, or a value has the wrong type; the sentence names the key.
         ValueRangeError: A number is out of its range.
+        MismatchError: Several of these.
     """
     if not isinstance(values, Mapping):
         raise ConfigError(f"{key or 'the settings'} must hold keys and values, got {shown(values)}")
+    checks = Checks()
     for name in values:
-        check_key(str(name), root, key)
+        with checks.one():
+            check_key(str(name), root, key)
     # What only code may set comes along where values start from settings.
     taken = {} if start is None else {name: getattr(start, name) for name in names(root)}
     for each in keys(root):
         at, default = _join(key, each.name), default_of(each) if start is None else getattr(start, each.name)
-        if each.name in values and values[each.name] != MUST:
-            taken[each.name] = _value(values[each.name], each, root, at, trust, default)
-        elif default is MISSING:
-            raise ConfigError(f"{at} must be given")
-        else:
-            taken[each.name] = default
-    with keyed(key):
-        return root(**taken)
+        with checks.one():
+            if each.name in values and values[each.name] != MUST:
+                taken[each.name] = _value(values[each.name], each, root, at, trust, default)
+            elif default is MISSING:
+                raise ConfigError(f"{at} must be given")
+            else:
+                taken[each.name] = default
+    if not checks.errors:
+        with keyed(key):
+            return root(**taken)
+    for each in keys(root):  # what the others hold is told with them
+        if taken.get(each.name) is not None:
+            with checks.one(), keyed(key):
+                check_field(each, taken[each.name])
+    checks.end()
+    raise AssertionError("unreachable: a check has failed")
 
 
 def check_key(name: str, root: type[Settings], key: str = "") -> None:
@@ -76,7 +87,7 @@ def keyed(key: str) -> Iterator[None]:
     try:
         yield
     except ApccError as error:
-        raise type(error)(_join(key, str(error))) from error
+        raise begun_with(_join(key, ""), error) from error
 
 
 def _value(value: Any, each: Field[Any], root: type[Settings], key: str, trust: Trust, default: Any) -> Any:

@@ -11,6 +11,7 @@ from hydra.core.config_store import ConfigStore
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 
+from apcc_torch.completion import answered
 from apcc_torch.composition.arguments import options_first
 from apcc_torch.composition.arm_file import arm_override
 from apcc_torch.composition.help import describe, for_manual
@@ -29,7 +30,18 @@ log = plain_logger("apcc_torch.robot")
 
 
 ConfigStore.instance().store(name="realtime_schema", node=schema(RealtimeSettings))
-describe("robot", RealtimeSettings, "realtime")
+CHOICE = "experiment=setpoint"
+"""Without it not every key is there: what `--help` and TAB take where none is made."""
+EXPERIMENTS = (
+    "setpoint",
+    "calibration",
+    "experiment_1",
+    "experiment_2",
+    "dynamic_single",
+    "robot_2_single",
+    "tracking",
+)
+describe("robot", RealtimeSettings, "realtime", of_a_realtime_run, EXPERIMENTS, choice=CHOICE)
 OmegaConf.register_new_resolver("exit_codes", exit_code_table, replace=True)
 
 
@@ -48,9 +60,11 @@ def _hydra_main(cfg: DictConfig) -> None:
 
 def main() -> None:
     """Console entry point."""
+    if answered("robot", sys.argv[1:]):
+        return
     with held_folder(), refusals("robot"):
         check_words(sys.argv[1:], RealtimeSettings, "realtime")
-        sys.argv[1:] = options_first(arm_override(for_manual(sys.argv[1:], "experiment=setpoint")))
+        sys.argv[1:] = options_first(arm_override(for_manual(sys.argv[1:], CHOICE)))
         check_options("robot")
         _hydra_main()
 

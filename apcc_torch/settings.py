@@ -18,7 +18,7 @@ import torch
 from torch import Tensor
 
 from apcc_torch.annotations import check_type, is_finite, named, numbers_in, shown
-from apcc_torch.errors import ConfigError, ValueRangeError
+from apcc_torch.errors import Checks, ConfigError, ValueRangeError
 
 Setting = float | Tensor
 """A number for all rows, or (...) numbers that broadcast with the leading dimensions of what they are used on."""
@@ -126,6 +126,7 @@ class Settings:
     Raises:
         ConfigError: A value is of the wrong type, or none of a field's choices.
         ValueRangeError: A number is out of its range.
+        MismatchError: Several of these.
     """
 
     part: ClassVar[type[Any]]
@@ -137,6 +138,7 @@ class Settings:
         torch.serialization.add_safe_globals([cls])
 
     def __post_init__(self) -> None:
+        checks = Checks()
         for each in fields(self):
             value = getattr(self, each.name)
             if value is None and "None" in str(each.type):
@@ -144,8 +146,9 @@ class Settings:
             if isinstance(value, list):
                 value = tuple(value)
                 object.__setattr__(self, each.name, value)
-            check_type(each.name, value, each.type if isinstance(each.type, str) else named(each.type))
-            about_of(each).check(each.name, value)
+            with checks.one():
+                check_field(each, value)
+        checks.end()
         self.check()
 
     def check(self) -> None:
@@ -178,6 +181,12 @@ def keys(kind: type[Any]) -> tuple[dataclasses.Field[Any], ...]:
 def default_of(each: dataclasses.Field[Any]) -> Any:
     """A field's default; MISSING where it has none."""
     return each.default if each.default_factory is MISSING else each.default_factory()
+
+
+def check_field(each: dataclasses.Field[Any], value: Any) -> None:
+    """Raises ConfigError or ValueRangeError where a field cannot hold the value."""
+    check_type(each.name, value, each.type if isinstance(each.type, str) else named(each.type))
+    about_of(each).check(each.name, value)
 
 
 def differs(each: dataclasses.Field[Any], value: Any) -> bool:

@@ -12,6 +12,7 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
 from omegaconf import DictConfig
 
+from apcc_torch.completion import answered
 from apcc_torch.composition.arguments import options_first
 from apcc_torch.composition.arm_file import arm_override
 from apcc_torch.composition.data_file import data_override
@@ -33,7 +34,20 @@ from apcc_torch.sweeps.job import run_job
 log = plain_logger("apcc_torch.simulate")
 
 ConfigStore.instance().store(name="simulate_schema", node=schema(SimulateSettings))
-describe("simulate", SimulateSettings)
+CHOICE = "experiment=kinematic"
+"""Without it not every key is there: what `--help` and TAB take where none is made."""
+EXPERIMENTS = (
+    *(
+        "kinematic",
+        "dynamic_run_1",
+        "dynamic_run_2",
+        "dynamic_run_2_tuned",
+        "dynamic_run_2_composite",
+        "dynamic_single",
+    ),
+    *("dynamic_single", "tracking", "robot_2", "robot_2_tuned", "robot_2_single", "setpoint", "replay"),
+)
+describe("simulate", SimulateSettings, unread=of_a_simulation, experiments=EXPERIMENTS, choice=CHOICE)
 
 
 @hydra.main(version_base="1.3", config_path=conf_path(), config_name="simulate")
@@ -59,11 +73,13 @@ def _hydra_main(cfg: DictConfig) -> float | None:
 
 def main() -> None:
     """Console entry point."""
+    if answered("simulate", sys.argv[1:]):
+        return
     with held_folder(Sweep):
         try:
             with refusals("simulate"):
                 check_words(sys.argv[1:], SimulateSettings, "simulate")
-                words = data_override(for_manual(sys.argv[1:], "experiment=kinematic"), SimulateSettings)
+                words = data_override(for_manual(sys.argv[1:], CHOICE), SimulateSettings)
                 words = with_batch(arm_override(words))
                 sys.argv[1:] = options_first(words)
                 check_options("simulate")

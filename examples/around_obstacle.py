@@ -52,13 +52,13 @@ def draw(backbone: PCCBackbone, ways: dict[str, Tensor], gaps: dict[str, Tensor]
     axes = figure.subplots(1, 3, width_ratios=(1.0, 1.0, 1.4))
     moments = [0, 40, 80, 140, STEPS - 1]
     arms = {name: style.values(backbone.points(q[moments], LENGTHS, 80)) for name, q in ways.items()}
-    box = bounding_box(*arms.values(), margin=0.05)
+    box = bounding_box(*arms.values(), margin=0.08)
     ball = style.values(CENTRE) + RADIUS * circle()
     looks = zip((style.VERMILION, style.BLUE), style.DASHES, strict=False)
     time = DT * torch.arange(1, STEPS + 1)
     for ax, (name, arm), (color, dash) in zip(axes, arms.items(), looks, strict=False):
         space = Space(ax, box, Camera(elevation=0.0, azimuth=-90.0), frame=False)
-        draw_base(space, 0.05)
+        draw_base(space)
         space.plot(ball, color=style.INK, linewidth=1.6)
         for k, shape in enumerate(arm):
             space.plot(shape, color=style.faded(color, 0.3 + 0.7 * k / (len(arm) - 1)), linewidth=6.0, zorder=2 + k)

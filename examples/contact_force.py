@@ -104,9 +104,9 @@ def draw(arm: Arm, place: float, force: Tensor, found: Contact, curve: tuple[Ten
     estimated = found.estimate.value
     arrows = [(torch.tensor(place, dtype=D), force, style.TRUE), (found.abscissa, estimated, style.VERMILION)]
     ends = [at(X)[0] - 0.1 * style.values(f) for X, f, _ in arrows]
-    box = bounding_box(shape, *(end[None] for end in ends), margin=0.03)
+    box = bounding_box(shape, *(end[None] for end in ends), margin=0.05)
     space = Space(left, box, Camera(12.0, -70.0), frame=False)
-    draw_base(space, 0.04)
+    draw_base(space)
     space.plot(shape, color=style.EDGE, linewidth=7.0, solid_capstyle="round")
     likely = torch.linspace(float(found.interval[0]), float(found.interval[1]), 30, dtype=D)
     space.plot(at(likely), color=style.faded(style.VERMILION, 0.5), linewidth=7.0)

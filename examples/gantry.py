@@ -91,7 +91,7 @@ def draw(body: MountedArm, ways: dict[str, Way], file: Path) -> Path:
     figure = style.new_figure(12.0, 3.9)
     axes = figure.subplots(1, 3, width_ratios=(1.3, 1.3, 1.0))
     looks = list(zip((style.VERMILION, style.BLUE), style.DASHES, strict=False))
-    box = bounding_box(*(style.values(way.x_d) for way in ways.values()), margin=0.1)
+    box = bounding_box(*(style.values(way.x_d) for way in ways.values()), margin=0.15)
     box = box._replace(low=box.low * (1, 1, 0) + (0, 0, 0.7), high=box.high * (1, 1, 0) + (0, 0, 1.55))
     for ax, (name, way), (color, dash) in zip(axes, ways.items(), looks, strict=False):
         space = Space(ax, box, Camera(elevation=12.0, azimuth=-75.0), frame=False)

@@ -91,11 +91,11 @@ def draw(backbone: PCCBackbone, logs: dict[str, KinematicLog], path: Path) -> Pa
     axes = figure.subplots(1, 4, width_ratios=(1.0, 1.0, 1.0, 1.9))
     at = list(range(int(10.0 * RATE), int(20.0 * RATE), int(1.25 * RATE)))
     arms = {name: style.values(backbone.points(log.q_true[at], TRUE, 80)) for name, log in logs.items()}
-    box = bounding_box(*arms.values(), margin=0.04)
+    box = bounding_box(*arms.values(), margin=0.07)
     looks = list(zip((style.VERMILION, style.BLUE, style.GREEN), style.DASHES, strict=False))
     for ax, (name, log), (color, dash) in zip(axes, logs.items(), looks, strict=False):
         space = Space(ax, box, frame=False)
-        draw_base(space, 0.05)
+        draw_base(space)
         space.plot(style.values(log.x_d), color=style.MUTED, linewidth=1.4, linestyle=":")
         for arm in arms[name]:
             space.plot(arm, color=color, linewidth=2.6, alpha=0.8, solid_capstyle="round")

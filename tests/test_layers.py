@@ -24,7 +24,7 @@ MAX_LINES = 330
 LAYERS: tuple[tuple[str, ...], ...] = (
     ("beginning", "plain_text"),
     ("errors",),
-    ("conf_path", "files", "modes", "processes", "spread"),
+    ("bars", "conf_path", "files", "modes", "processes", "spread"),
     ("annotations",),
     ("settings", "shapes"),
     ("part", "web_address"),
@@ -47,7 +47,7 @@ LAYERS: tuple[tuple[str, ...], ...] = (
     ("viewing",),
     ("experiments",),
     ("paper",),
-    ("sweeps",),
+    ("completion", "sweeps"),
     ("composed", "demo", "new_arm", "robot_log", "simulate"),
     ("benchmark", "evaluate", "identify", "report.__main__", "robot", "view"),
 )
@@ -57,7 +57,7 @@ APART: dict[str, frozenset[str]] = {"hardware": frozenset({"simulation"})}
 
 # Who alone may import a heavy or program-only library.
 RESTRICTED: dict[str, frozenset[str]] = {
-    "hydra": frozenset({"benchmark", "composed", "evaluate", "identify", "robot", "simulate", "sweeps"}),
+    "hydra": frozenset({"benchmark", "completion", "composed", "evaluate", "identify", "robot", "simulate", "sweeps"}),
     "matplotlib": frozenset({"report", "report.__main__"}),
     "gymnasium": frozenset({"envs"}),
     "stable_baselines3": frozenset({"envs"}),

@@ -22,12 +22,13 @@ from commands import environment
 from started import ran
 
 LOCKSTEP = ("hardware=lockstep", "hardware.world.step=0.01", "plant.settle=0.5", "loop.hold=0.1", "compile=off")
+LOCKSTEP += ("figures=false",)
 # A busy machine may starve the loop and the arm: these runs are about how they end, not about time.
 PATIENT = (
     "loop.rate=20", "loop.warm_up=5", "loop.fresh_timeout=60", "loop.fresh_frames=1", "loop.hold=0.2",
     "plant.settle=0.1", "guards.overruns=100000", "guards.sensing.max_age=100", "guards.sensing.stale=100",
     "guards.sensing.dropout=100", "guards.sensing.gate.max_speed=100", "guards.sensing.gate.max_angular_rate=1000",
-    "guards.max_error=null", "experiment.duration=100", "compile=off",
+    "guards.max_error=null", "experiment.duration=100", "compile=off", "figures=false",
 )  # fmt: skip
 
 
@@ -107,6 +108,15 @@ def test_a_dry_run_moves_nothing(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
     tendons = read_log(tmp_path / "run" / "log.mcap").topic("/tendons")
     assert np.abs(tendons["y"]).max() == 0.0 and np.abs(tendons["sent"]).max() > 1e-3
+
+
+def test_a_run_leaves_figures_as_a_simulation_does(tmp_path: Path) -> None:
+    short = ("experiment=setpoint", "experiment.duration=0.6", *LOCKSTEP, "figures=true")
+    done = robot(tmp_path, *short)
+    assert done.returncode == 0 and "is not drawn" not in done.stdout + done.stderr, done.stdout + done.stderr
+    names = {path.stem for path in (tmp_path / "run" / "figures").iterdir()}
+    wanted = {"shape_error", "psi", "parameters", "sensors", "end_effector", "mapping_error", "stroboscopic"}
+    assert names == wanted | {"animation"}
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ from math import log2
 from typing import Any
 
 from apcc_torch.classes import class_named
-from apcc_torch.errors import ConfigError
+from apcc_torch.errors import Checks, ConfigError
 from apcc_torch.model import arm_scale
 from apcc_torch.model.arm import Arm
 from apcc_torch.reading import MUST, nested_in, plain, read
@@ -56,14 +56,17 @@ def in_proportion(values: dict[str, Any], root: type[Settings]) -> dict[str, Any
     if not isinstance(values.get("arm"), Mapping):
         return values
     arm: list[Arm] = []  # read once it is needed
+    refusals = Checks()
 
     def scaled(key: str, about: About, value: list[Any], default: Any) -> Any:
         if about.unit not in PROPORTIONAL:
             raise ConfigError(f"{key} goes with nothing of an arm: give it as a number, without {value[0]!r}")
         if not arm:
-            arm.append(read(values["arm"], Arm, "arm"))
+            with refusals.one():
+                arm.append(read(values["arm"], Arm, "arm"))
         of = PROPORTIONAL[about.unit]
-        ratio = of(arm[0]) / of(_named(value[0].removeprefix(HEAD).strip()))
+        # What is no arm is refused where all is read, with whatever else does not fit.
+        ratio = 1.0 if refusals.errors else of(arm[0]) / of(_named(value[0].removeprefix(HEAD).strip()))
         numbers = value[1:]
         if not numbers:
             return _times(plain(default), ratio)

@@ -59,7 +59,8 @@ class RealtimeSettings(RunSettings):
     """Root of `python -m apcc_torch.robot`."""
 
     elsewhere: ClassVar[Mapping[str, str]] = dict.fromkeys(
-        (name for name in names(SimulateSettings) if name not in names(RunSettings)), "python -m apcc_torch.simulate"
+        (name for name in names(SimulateSettings) if name not in (*names(RunSettings), "figures")),
+        "python -m apcc_torch.simulate",
     )
 
     compile: str = setting(
@@ -82,6 +83,7 @@ class RealtimeSettings(RunSettings):
     )
     page: WebAddress = setting(factory=WebAddress, meaning="where view=browser is served")
     log: bool = setting(True, meaning="write log.mcap")
+    figures: bool = setting(True, meaning="write the figures, once the run has ended")
 
     def check(self) -> None:
         """Raises where the clamps of the commands are no ranges of the arm's tendons."""
@@ -127,7 +129,7 @@ def _of_a_calibration(c: RealtimeSettings) -> Unread:
     yield f"{groups} {_below('experiment', targets)}", "a calibration runs no controller"
     loop = [name for name in names(LoopSettings) if name != "rate"]
     guards = [name for name in names(GuardSettings) if name not in ("limits", "effort_cap")]
-    yield f"view page log {_below('loop', loop)} {_below('guards', guards)}", "a calibration runs no loop"
+    yield f"view page log figures {_below('loop', loop)} {_below('guards', guards)}", "a calibration runs no loop"
     if not c.calibration.check_signs:
         pulled = "loop.rate guards.limits guards.effort_cap calibration.pull"
         yield pulled, "calibration.check_signs is false, and no tendon is pulled"

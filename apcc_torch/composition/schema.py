@@ -18,7 +18,7 @@ from omegaconf.errors import OmegaConfBaseException
 from apcc_torch.classes import Trust
 from apcc_torch.composition.proportion import in_proportion
 from apcc_torch.conf_path import conf_path
-from apcc_torch.errors import ApccError, ConfigError, DataError, in_a_line, one_sentence
+from apcc_torch.errors import ApccError, Checks, ConfigError, DataError, in_a_line, one_sentence
 from apcc_torch.files import yaml_in
 from apcc_torch.plain_text import for_terminal
 from apcc_torch.reading import check_key, defaults, nested_in, plain, read
@@ -73,12 +73,15 @@ def check_words(words: Sequence[str], root: type[Settings], config: str) -> None
     if any(OTHERS.match(word) for word in words):
         return
     known = [each.name for each in keys(root)]
+    checks = Checks()
     for word in words:
         key = re.match(r"(\w+)([\w./@:-]*)=", word)
-        if key is not None and key[1] in known:
-            _check_path(f"{key[1]}{key[2]}".split("."), root)
-        elif key is not None and key[1] not in (*groups(config), "hydra"):
-            check_key(key[1], root)
+        with checks.one():
+            if key is not None and key[1] in known:
+                _check_path(f"{key[1]}{key[2]}".split("."), root)
+            elif key is not None and key[1] not in (*groups(config), "hydra"):
+                check_key(key[1], root)
+    checks.end()
 
 
 @cache

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import TypeVar
 
 from apcc_torch.composition.run_settings import RunSettings, SimulateSettings
-from apcc_torch.errors import ConfigError
+from apcc_torch.errors import Checks, ConfigError
 from apcc_torch.part import part_of
 from apcc_torch.settings import Settings
 
@@ -26,6 +26,11 @@ BODY = (
 """What forces act on and tendons pull: none of it is in kinematics."""
 
 
+def reasons_of(unread: Unread) -> dict[str, str]:
+    """Key or group -> why nothing reads it."""
+    return {key: why for keys, why in unread for key in keys.split()}
+
+
 def check_given(unread: Callable[[Run], Unread], runs: Sequence[Run], words: Iterable[str]) -> None:
     """Raises ConfigError where a word of a command line sets a key that none of its runs reads.
 
@@ -34,15 +39,19 @@ def check_given(unread: Callable[[Run], Unread], runs: Sequence[Run], words: Ite
         runs: The settings of each run: of one, or of a sweep's, in some of which a key may idle.
         words: The command line, KEY=VALUE; others are passed over.
     """
-    reasons = [{key: why for keys, why in unread(run) for key in keys.split()} for run in runs]
+    reasons = [reasons_of(unread(run)) for run in runs]
+    checks = Checks()
     for word in words:
         key = re.match(r"\+{0,2}([\w.]+)(@[\w.]+)?=", word)
-        idle = [] if key is None else [_why(key[1], told) for told in reasons]
-        if idle and all(idle):
-            raise ConfigError(f"{key[1]} is read by nothing: {idle[0]}")  # type: ignore[index]
+        idle = [] if key is None else [why_unread(key[1], told) for told in reasons]
+        with checks.one():
+            if idle and all(idle):
+                raise ConfigError(f"{key[1]} is read by nothing: {idle[0]}")  # type: ignore[index]
+    checks.end()
 
 
-def _why(key: str, told: dict[str, str]) -> str | None:
+def why_unread(key: str, told: Mapping[str, str]) -> str | None:
+    """Why nothing reads a key, told of it or of a group that it is in; None where something does."""
     parts = key.split(".")
     return next((told[head] for n in range(1, len(parts) + 1) if (head := ".".join(parts[:n])) in told), None)
 

@@ -22,11 +22,10 @@ from apcc_torch.experiments.folder import RunFolder, progress_bar, warn
 from apcc_torch.model.abscissae import decouple
 from apcc_torch.model.dynamics_regressor import PARAMETERS
 from apcc_torch.model.kinematic_model import KinematicModel
-from apcc_torch.report import dynamic as figures
-from apcc_torch.report.animation import save_animation
-from apcc_torch.report.backbone_drawing import Snapshots, marker_positions, spread_indices, stroboscopic_figure
+from apcc_torch.report.backbone_drawing import Snapshots, marker_positions, spread_indices
+from apcc_torch.report.dynamic import RunCurves
 from apcc_torch.report.dynamics_parameters import dynamics_parameter_figure
-from apcc_torch.report.style import Draw, attempt, save_figures
+from apcc_torch.report.run_figures import draw_run, in_sections, run_figures
 from apcc_torch.simulation.divergence import Divergence, sentence
 from apcc_torch.simulation.dynamic import DynamicLog, DynamicSettings, simulate_dynamic
 from apcc_torch.simulation.metrics import backbone_error, mapping_error, orientation_error
@@ -128,7 +127,7 @@ def arrays(outcome: Outcome) -> dict[str, Tensor]:
     return outcome.log._asdict()
 
 
-def metrics(outcome: Outcome, c: figures.RunCurves | None = None) -> dict[str, float]:
+def metrics(outcome: Outcome, c: RunCurves | None = None) -> dict[str, float]:
     """Metrics of one run; `c` are its `curves`, where they are there already."""
     c = curves(thinned(outcome.log), outcome.arms) if c is None else c
     return dynamic_metrics(c) | effort_metrics(outcome.log) | estimate_metrics(outcome)
@@ -163,7 +162,7 @@ def thinned(log: DynamicLog, instants: int = INSTANTS) -> DynamicLog:
     return DynamicLog(*[*(field[index] for field in log[:-1]), log.diverged_at])
 
 
-def curves(log: DynamicLog, arms: Arms) -> figures.RunCurves:
+def curves(log: DynamicLog, arms: Arms) -> RunCurves:
     """The measures of the paper over time, at the instants of the log."""
     with torch.inference_mode():
         shape = backbone_error(arms.true, log.q_true, arms.true_lengths, arms.model, log.q_bar, log.pi_hat)
@@ -175,7 +174,7 @@ def curves(log: DynamicLog, arms: Arms) -> figures.RunCurves:
         left_at = torch.where(log.diverged_at < 0, torch.inf, arms.period * log.diverged_at)
         judged = (shape, arms.true_lengths, arms.true, arms.model, arms.bounds, left_at)
         diverged = arms.divergence.of_arm(log, *judged)
-    return figures.RunCurves(
+    return RunCurves(
         time=log.time,
         shape_error=shape,
         psi=elongation_cost(log.q_bar, coordinates=arms.model.coordinates),
@@ -188,7 +187,7 @@ def curves(log: DynamicLog, arms: Arms) -> figures.RunCurves:
     )
 
 
-def dynamic_metrics(c: figures.RunCurves) -> dict[str, float]:
+def dynamic_metrics(c: RunCurves) -> dict[str, float]:
     """Flat metrics over all runs and instants, SI units in the names."""
     last = c.time >= c.time[-1] - 5.0
     above = (c.e > SETTLED).to(torch.int64)
@@ -264,7 +263,7 @@ def snapshots(log: DynamicLog, arms: Arms, row: int, count: int | None) -> Snaps
     )
 
 
-def draw(outcome: Outcome, folder: Path, name: str = "run", c: figures.RunCurves | None = None) -> None:
+def draw(outcome: Outcome, folder: Path, name: str = "run", c: RunCurves | None = None, title: str = "") -> None:
     """The paper's figures of one run, and a film of its last row.
 
     Args:
@@ -272,32 +271,21 @@ def draw(outcome: Outcome, folder: Path, name: str = "run", c: figures.RunCurves
         folder: Where they go.
         name: Of the run, in the legends.
         c: Its `curves`, where they are there already.
+        title: Over the figures.
     """
-    thin = thinned(outcome.log)
+    thin, arms = thinned(outcome.log), outcome.arms
     if c is None:
-        c = curves(thin, outcome.arms)
-    runs = {name: c}
-    pictures: dict[str, Draw] = {
-        "shape_error.png": lambda: figures.shape_error_figure(runs),
-        "psi.png": lambda: figures.psi_figure(runs),
-        "parameters.png": lambda: figures.parameter_figure(runs),
-        "sensors.png": lambda: figures.sensor_figure(runs),
-        "end_effector.png": lambda: figures.end_effector_figure(runs),
-        "mapping_error.png": lambda: figures.mapping_error_figure(runs),
-        "stroboscopic.png": lambda: stroboscopic_figure({name: snapshots(thin, outcome.arms, -1, 6)}),
-    }
+        c = curves(thin, arms)
+    shots = snapshots(thin, arms, -1, None)
+    drawings = run_figures(name, c, shots, in_sections(arms.true_lengths, arms.model.n_sections), title)
     if thin.theta_hat.shape[-1] > 0:
-        pictures["dynamics.png"] = lambda: dynamics_parameter_figure(thin.time, thin.theta_hat, outcome.arms.theta)
-    warning = sentence(c.time, c.diverged)
-    save_figures(pictures, folder, warning=warning)
-    film = {"shape error (mm)": 1e3 * c.shape_error[:, -1], "end-effector error (mm)": 1e3 * c.e[:, -1]}
-    with attempt("the film"):
-        save_animation(folder / "animation", snapshots(thin, outcome.arms, -1, None), film, warning=warning)
+        drawings["dynamics.png"] = lambda: dynamics_parameter_figure(thin.time, thin.theta_hat, arms.theta, title=title)
+    draw_run(folder, drawings, c, shots, sentence(c.time, c.diverged))
 
 
 def redraw(config: SimulateSettings, arrays: dict[str, Tensor], into: Path, figured: bool, filmed: bool) -> None:
     """See `kinds.Kind`; figures and film are drawn together."""
-    draw(loaded(config, arrays), into, _name(config))
+    draw(loaded(config, arrays), into, _name(config), title=_title(config))
 
 
 def run(config: SimulateSettings, folder: Path) -> dict[str, float]:
@@ -315,8 +303,12 @@ def run(config: SimulateSettings, folder: Path) -> dict[str, float]:
     values["wall_s"] = time.perf_counter() - started
     RunFolder(folder).write(values, arrays(outcome), config.seed)
     if config.figures:
-        draw(outcome, folder / "figures", name, c)
+        draw(outcome, folder / "figures", name, c, _title(config))
     return values
+
+
+def _title(config: SimulateSettings) -> str:
+    return f"{config.experiment.name}, {config.arm.name}"
 
 
 def _name(config: SimulateSettings) -> str:

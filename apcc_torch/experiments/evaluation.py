@@ -8,8 +8,8 @@ from dataclasses import replace
 from pathlib import Path
 
 import torch
-from tqdm import tqdm
 
+from apcc_torch.bars import terminal_bar
 from apcc_torch.composition.evaluate import EvaluateSettings, recordings
 from apcc_torch.composition.identify import parameters
 from apcc_torch.evaluation.leaderboard import Failure, evaluate
@@ -82,8 +82,8 @@ def of_motion(settings: EvaluateSettings, say: Say) -> Leaderboard:
     chosen = {name: METHODS[name] for name in settings.methods or METHODS}
 
     def watch(names: Sequence[str]) -> Iterable[str]:
-        bar: Iterable[str] = tqdm(names, "methods", disable=None if settings.progress else True, leave=False)
-        return bar
+        watched: Iterable[str] = terminal_bar(names, desc="methods", shown=settings.progress)
+        return watched
 
     told = [known() for _ in sessions[0].folds]
     scores, failures = evaluate(told, sessions, learned, tasks, chosen, settings.every, watch)

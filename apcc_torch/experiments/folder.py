@@ -14,9 +14,9 @@ from pathlib import Path
 import numpy as np
 import torch
 from torch import Tensor
-from tqdm import tqdm
 
 import apcc_torch
+from apcc_torch.bars import terminal_bar
 from apcc_torch.errors import WriteError
 from apcc_torch.files import draft_of, write_arrays, write_json
 from apcc_torch.plain_text import plain_logger
@@ -36,7 +36,7 @@ def progress_bar(label: str, shown: bool) -> Progress:
     """
     path = _told.get()
     if path is None:
-        return lambda steps: tqdm(steps, desc=label, disable=None if shown else True, leave=False, dynamic_ncols=True)
+        return lambda steps: terminal_bar(steps, desc=label, shown=shown)
     return (lambda steps: _telling(steps, label, path)) if shown else quiet
 
 

@@ -186,10 +186,10 @@ def _first(outcome: Outcome) -> Outcome:
 
 
 def draw(outcome: Outcome, folder: Path) -> None:
-    """Figures 7, 8 and 9 of one run's row 0."""
+    """Figures 7, 8 and 9 of one run."""
     log, pi, controller, _ = outcome
-    figures = kinematic_figures(select_row(log, 0), pi, controller.feedback.abscissae, controller.backbone)
-    save_figures(figures, folder, warning=sentence(*causes(_first(outcome))))
+    figures = kinematic_figures(log, pi, controller.feedback.abscissae, controller.backbone)
+    save_figures(figures, folder, warning=sentence(*causes(outcome)))
 
 
 def arrays(outcome: Outcome) -> dict[str, Tensor]:

@@ -19,6 +19,7 @@ from apcc_torch.composition.schema import from_text, text
 from apcc_torch.control.controller import APCCController
 from apcc_torch.errors import DataError
 from apcc_torch.experiments.folder import versions, warn
+from apcc_torch.experiments.realtime_figures import draw
 from apcc_torch.files import write_json
 from apcc_torch.hardware.calibration_confirmation import calibration_checks
 from apcc_torch.hardware.calibration_file import ArmCalibration
@@ -37,6 +38,7 @@ from apcc_torch.hardware.stops import StopReason
 from apcc_torch.hardware.summary import Summary
 from apcc_torch.hardware.view import LiveView as TerminalView
 from apcc_torch.plain_text import plain_logger
+from apcc_torch.report.style import attempt
 from apcc_torch.simulation.divergence import sentence
 from apcc_torch.simulation.kinematic import KinematicLog
 from apcc_torch.simulation.metrics import backbone_error
@@ -100,6 +102,9 @@ def run(settings: RealtimeSettings, folder: Path) -> tuple[Outcome, dict[str, fl
         _write(folder, settings.seed, summary.events, metrics)
     except OSError as error:
         failure = failure or f"{folder} cannot be written: {error}"
+    if settings.figures and summary.decisions:
+        with attempt("the run"):
+            draw(build, setup.control.controller, summary, causes, folder / "figures")
     if failure is not None:
         log.error("%s", failure)
         if not outcome.reason.failed:

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from apcc_torch.annotations import numbers_in
 from apcc_torch.conf_path import conf_path
-from apcc_torch.errors import ConfigError, DataError, ValueRangeError
+from apcc_torch.errors import ApccError, Checks, ConfigError, DataError, ValueRangeError, begun_with
 from apcc_torch.files import json_in, read_text, write_atomically, yaml_in
 from apcc_torch.lie import so3
 from apcc_torch.model.arm_placement import Placement
@@ -22,6 +22,7 @@ from apcc_torch.model.arm_tendons import Actuation, Tendons
 from apcc_torch.model.backbone import HANGING, PCCBackbone
 from apcc_torch.model.dynamics import SoftArmDynamics
 from apcc_torch.model.kinematic_model import KinematicModel
+from apcc_torch.model.places import check_places
 from apcc_torch.model.stiffness import scaled_stiffness
 from apcc_torch.model.table import Table, table
 from apcc_torch.model.tendons import TendonRouting, rack_routing
@@ -131,30 +132,32 @@ class Arm(Settings):
         if not n_b:
             raise ConfigError("lengths must name at least one section")
         end = lengths.sum(-1, keepdim=True) * (1.0 + 1e-6)
+        checks = Checks()
         for name in ("sensors", "true_sensors", "racks"):
-            value = getattr(self, name)
-            if value is None:
-                continue
-            at = vector(value)
-            if not at.shape[-1] or not holds(at.diff(dim=-1) > 0):
-                raise ValueRangeError(f"{name} must be increasing, at least one, got {at.tolist()}")
-            if not holds(at <= end):
-                raise ValueRangeError(f"{name} must lie on the arm, {float(end.max()):.4g} m long, got {at.tolist()}")
-        if self.true_sensors is not None and vector(self.true_sensors).shape[-1] != self.sensor_places().shape[-1]:
-            raise ConfigError("true_sensors must have as many entries as sensors")
+            with checks.one():
+                check_places(name, getattr(self, name), end)
+        with checks.one():
+            if self.true_sensors is not None and vector(self.true_sensors).shape[-1] != self.sensor_places().shape[-1]:
+                raise ConfigError("true_sensors must have as many entries as sensors")
         for name in ("masses", "axial_rigidity", "bending_rigidity"):
-            if getattr(self, name) is not None:
-                spread(name, getattr(self, name), n_b)
-        self.tendons.check_on(n_b, self._n_racked)
-        self.actuation.check_on(self.n_tendons)
+            with checks.one():
+                if getattr(self, name) is not None:
+                    spread(name, getattr(self, name), n_b)
+        with checks.one():
+            self.tendons.check_on(n_b, self._n_racked)
+        with checks.one():
+            self.actuation.check_on(self.n_tendons)
         for name, offset in {"tendon_offset": self.tendon_offset, "tendons.offsets": self.tendons.offsets}.items():
             for number in numbers_in(offset):
-                if not holds(number < end):
-                    raise ValueRangeError(
-                        f"{name} must be less than the arm's length of {float(end.min()):.4g} m, got {number} m"
-                    )
-        table("rest_bend", self.rest_bend, n_b, 2)
-        table("mounts", self.mounts, self.sensor_places().shape[-1], 3)
+                with checks.one():
+                    if not holds(number < end):
+                        raise ValueRangeError(
+                            f"{name} must be less than the arm's length of {float(end.min()):.4g} m, got {number} m"
+                        )
+        for name, rows, columns in (("rest_bend", n_b, 2), ("mounts", self.sensor_places().shape[-1], 3)):
+            with checks.one():
+                table(name, getattr(self, name), rows, columns)
+        checks.end()
 
     @property
     def n_sections(self) -> int:
@@ -267,8 +270,8 @@ class Arm(Settings):
             raise DataError(f"{path}: is no arm's file: it must hold keys such as lengths")
         try:
             return read({"name": Path(path).stem} | values, Arm)
-        except (ConfigError, ValueRangeError) as error:
-            raise type(error)(f"{path}: {error}") from error
+        except ApccError as error:
+            raise begun_with(f"{path}: ", error) from error
 
     def entries(self) -> dict[str, Any]:
         """What its file holds: its name and what differs from the defaults, as plain values."""

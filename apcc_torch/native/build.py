@@ -7,10 +7,11 @@ import os
 import shutil
 import subprocess
 import tempfile
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, as_completed
 from functools import cache
 from pathlib import Path
 
+from apcc_torch.bars import terminal_bar
 from apcc_torch.errors import CompileError
 from apcc_torch.native.library import BUILD, keep, swept_folder
 from apcc_torch.native.source import Source
@@ -99,7 +100,7 @@ def _compile(cxx: str, source: Source, folder: Path) -> Path:
             for o in objects
         ]
         try:
-            for job in jobs:
+            for job in terminal_bar(as_completed(jobs), desc="machine code", total=len(jobs), unit="file"):
                 job.result()
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)

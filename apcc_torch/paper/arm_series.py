@@ -102,5 +102,5 @@ def _changed(cfg: DictConfig, overrides: Sequence[str]) -> DictConfig:
     except OmegaConfBaseException as error:
         raise ConfigError(f"series.runs: {str(error).splitlines()[0]}") from error
     assert isinstance(changed, DictConfig)  # what merging settings gives
-    changed.series.runs, changed.series.sampled = {}, 0
+    changed.series.runs, changed.series.sampled, changed.figures = {}, 0, False  # the study has figures of its own
     return changed

@@ -6,14 +6,14 @@ import argparse
 import shutil
 import sys
 import tempfile
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
-from typing import TypeVar
 
 from tqdm import tqdm
 
+from apcc_torch.bars import terminal_bar
 from apcc_torch.composition.arguments import Arguments
 from apcc_torch.errors import DataError, in_a_line, one_sentence
 from apcc_torch.experiments.redrawing import draw_anew
@@ -49,8 +49,6 @@ examples:
   python -m apcc_torch.report runs/sweep/DATE --top 3 --no-page        the table only, in a second
 """
 
-Item = TypeVar("Item")
-
 
 def illustrate(folder: Path, filmed: bool) -> list[Picture]:
     """The figures that the run left, else drawn from its trajectory; with a film where one is wanted.
@@ -65,12 +63,6 @@ def illustrate(folder: Path, filmed: bool) -> list[Picture]:
             figures = figures or pictures.stored(Path(scratch))
             film = film or pictures.stored_film(Path(scratch))
     return [*figures, film] if filmed and film is not None else figures
-
-
-def bar(items: Iterable[Item], label: str, unit: str) -> Iterable[Item]:
-    """A progress bar, which is not there without a terminal."""
-    watched: Iterable[Item] = tqdm(items, desc=label, unit=unit, disable=None, leave=False, dynamic_ncols=True)
-    return watched
 
 
 def from_both_ends(order: Sequence[int]) -> Iterator[int]:
@@ -96,7 +88,7 @@ def illustrate_all(
     room = PICTURE_BYTES
     bare = [row for row, folder in candidates if not any((folder / "figures").glob("*.png"))]
     chosen = [(row, folder) for row, folder in candidates if row not in bare[fresh:]]
-    for count, (row, folder) in enumerate(bar(chosen[:most], "figures", "run")):
+    for count, (row, folder) in enumerate(terminal_bar(chosen[:most], desc="figures", unit="run")):
         try:
             with failures_told(partial(_warn_of, runs[row])):
                 shown = illustrate(folder, count < films)
@@ -182,7 +174,7 @@ def report(given: argparse.Namespace) -> list[Path]:
     Raises:
         ApccError: There is no run, or an argument has no meaning.
     """
-    collection = collect(given.runs, lambda folders: bar(folders, "reading", "run"))
+    collection = collect(given.runs, lambda folders: terminal_bar(folders, desc="reading", unit="run"))
     for passed_over in collection.skipped:
         warn(passed_over)
     runs = collection.runs

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Iterator, Mapping
 from itertools import chain
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.artist import Artist
@@ -61,18 +63,29 @@ class Stage:
         self.canvas = FigureCanvasAgg(self.figure)
         self.figure.set_dpi(PIXELS_PER_INCH)
         self.moving: list[Artist] = []
-        self._scene(camera)
-        self._curves()
-        style.warned(self.figure, warning)
+        foot = 0.0
+        if warning:
+            lines = textwrap.wrap(warning.replace("\n", "; "), 85)[:2]
+            foot = 0.02 + 0.05 * len(lines)
+            look: dict[str, Any] = {
+                "va": "bottom",
+                "ha": "center",
+                "color": style.SENSOR,
+                "fontsize": 10.0,
+                "fontweight": "bold",
+            }
+            self.figure.text(0.5, 0.012, "\n".join(lines), **look)
+        self._scene(camera, foot)
+        self._curves(foot)
         for artist in self.moving:
             artist.set_animated(True)
         self.canvas.draw()
         self.background = self.canvas.copy_from_bbox(self.figure.bbox)
 
-    def _scene(self, camera: Camera) -> None:
+    def _scene(self, camera: Camera, foot: float) -> None:
         box = bounding_box(self.true, self.model, *([] if self.target is None else [self.target]))
         right = 0.6 if self.readouts else 1.0
-        space = Space(self.figure.add_axes((0.0, 0.02, right, 0.88)), box, camera)
+        space = Space(self.figure.add_axes((0.0, foot, right, 0.9 - foot)), box, camera)
         draw_base(space)
         self.project = space.camera.project
         round_ends = {"solid_capstyle": "round"}
@@ -93,12 +106,12 @@ class Stage:
         self.clock = self.figure.text(0.985, 0.965, "", ha="right", va="top", fontsize=12, color=style.INK)
         self.moving.append(self.clock)
 
-    def _curves(self) -> None:
+    def _curves(self, foot: float) -> None:
         self.heads, self.numbers = [], []
         if not self.readouts:
             return
         grid = self.figure.add_gridspec(
-            len(self.readouts), 1, left=0.68, right=0.975, bottom=0.115, top=0.86, hspace=0.5
+            len(self.readouts), 1, left=0.68, right=0.975, bottom=0.115 + foot, top=0.86, hspace=0.5
         )
         for row, (label, curve) in enumerate(self.readouts.items()):
             ax = self.figure.add_subplot(grid[row, 0])

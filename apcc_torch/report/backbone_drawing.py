@@ -110,8 +110,9 @@ def draw_target(space: Space, target: Array, size: float = 16.0) -> Line2D:
     return space.plot(target.reshape(-1, 3), markeredgecolor="white", markeredgewidth=0.9, zorder=6.0, **look)
 
 
-def draw_base(space: Space, half: float = 0.04) -> None:
-    """The plate that the arm is fixed to, at the origin."""
+def draw_base(space: Space) -> None:
+    """The plate that the arm is fixed to, at the origin; it goes with the size of what is shown."""
+    half = 0.06 * float((space.box.high - space.box.low).max())
     ring = np.array([(-half, -half, 0.0), (half, -half, 0.0), (half, half, 0.0), (-half, half, 0.0)])
     flat = Polygon(space.camera.project(ring), closed=True, facecolor="#cbd2d9", edgecolor=style.EDGE, zorder=1.5)
     space.ax.add_patch(flat)
@@ -153,7 +154,8 @@ def draw_views(spaces: Sequence[Space], shots: Snapshots, markers_on_true: bool 
 
 def span_text(time: Tensor) -> str:
     """ "pale to dark: t = 0 to 3 s"."""
-    return f"pale to dark: t = {float(time[0]):.3g} to {float(time[-1]):.3g} s"
+    begin = max(float(time[0]), 0.0)  # an arm's first frame may be from just before its run
+    return f"pale to dark: t = {begin:.3g} to {float(time[-1]):.3g} s"
 
 
 def stroboscopic_figure(
@@ -175,7 +177,9 @@ def stroboscopic_figure(
     everything += [values(s.target) for s in runs.values() if s.target is not None]
     box = bounding_box(*everything)
     rows = len(runs) * len(views)
-    figure = style.new_figure(10.0, 1.25 + 2.7 * rows, constrained=False)
+    across, up = float((box.high - box.low)[:2].max()), float((box.high - box.low)[2])
+    tall = min(max(2.0 * up / across, 2.7), 3.6)  # a hanging arm is narrow: it is shown as large as the width allows
+    figure = style.new_figure(10.0, 1.25 + tall * rows, constrained=False)
     height = figure.get_figheight()
     grid = figure.add_gridspec(
         rows, 3, left=0.045, right=0.995, bottom=0.4 / height, top=1 - 0.85 / height, wspace=0.02, hspace=0.03

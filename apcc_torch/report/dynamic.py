@@ -20,6 +20,8 @@ from apcc_torch.report.style import Array, values
 from apcc_torch.shapes import check_tensor
 
 TIME = "time (s)"
+COLUMNS = 4
+"""Panels side by side."""
 
 
 class RunCurves(NamedTuple):
@@ -120,6 +122,12 @@ def draw_curve(ax: Axes, runs: Runs, field: str, scale: float, unit: str) -> Non
     style.fit_time(ax, values(next(iter(runs.values())).time))
 
 
+def time_label(runs: Runs) -> str:
+    """The time axis's name, with what lines and bands are where there are bands."""
+    most = max(curves.e.shape[1] for curves in runs.values())
+    return TIME if most == 1 else f"{TIME}; lines are means, bands reach from the least to the largest of {most} runs"
+
+
 def curve_figure(
     runs: Runs, field: str, scale: float, unit: str, name: str, title: str = "", log: bool = False
 ) -> Figure:
@@ -141,7 +149,7 @@ def curve_figure(
     figure = style.new_figure(10.0, 5.2)
     ax = figure.subplots()
     draw_curve(ax, runs, field, scale, unit)
-    style.dress(ax, TIME, f"{name} ({unit})", title)
+    style.dress(ax, time_label(runs), f"{name} ({unit})", title)
     if log:
         style.log_scale(ax, [scale * values(getattr(curves, field)) for curves in runs.values()])
     else:
@@ -170,12 +178,13 @@ def mapping_error_figure(runs: Runs, title: str = "") -> Figure:
     return curve_figure(runs, "mapping_error", 1e2, "cm", "actuation mismatch", title)
 
 
-def parameter_figure(runs: Runs, title: str = "") -> Figure:
+def parameter_figure(runs: Runs, title: str = "", true: Tensor | None = None) -> Figure:
     """Evolution of the estimates over the runs, one panel a section, against fixed ones. Fig. 13 [Dalenberg].
 
     Args:
         runs: Controllers and their runs; a controller that does not adapt is a level line.
         title: Text over the axes.
+        true: (n_b,) m, the true rest lengths, drawn dotted; None where they are not known.
     """
     check_runs(runs)
     sections = next(iter(runs.values())).pi_hat.shape[-1]
@@ -185,13 +194,15 @@ def parameter_figure(runs: Runs, title: str = "") -> Figure:
         for index, (name, curves) in enumerate(runs.items()):
             data = values(curves.pi_hat[..., i])
             still = bool(np.nanmax(data) - np.nanmin(data) < 1e-9)
-            label = f"{name}, fixed" if still else f"{name}, mean and range"
+            label = f"{name}, fixed" if still else name
             color = style.controller_color(name, index)
             draw_band(ax, values(curves.time), data, color, label, (0, (5, 3)) if still else "-")
+        if true is not None:
+            ax.axhline(float(true[i]), color=style.INK, linewidth=1.6, linestyle=(0, (1, 1.6)), label="true length")
         style.dress(ax, "", rf"$\hat\pi_{{{i + 1}}}$ (m)")
         ax.margins(y=0.15)
         ax.locator_params(axis="y", nbins=5)
-    panels[-1].set_xlabel(TIME, fontsize=style.LABEL, color=style.INK)
+    panels[-1].set_xlabel(time_label(runs), fontsize=style.LABEL, color=style.INK)
     panels[0].set_title(title or "parameter estimates", fontsize=style.TITLE, color=style.INK, loc="left", pad=8)
     _legend_above(panels[0])
     style.fit_time(panels[-1], values(next(iter(runs.values())).time))
@@ -201,7 +212,8 @@ def parameter_figure(runs: Runs, title: str = "") -> Figure:
 def sensor_figure(runs: Runs, title: str = "", names: Sequence[str] | None = None) -> Figure:
     """Residual norms of algorithm 2 per sensor, angular (crad) over linear (cm). Figs. 16, 19, 43 [Dalenberg].
 
-    A column a sensor; the numbers in each panel are the controllers' means over time and runs.
+    A column a sensor, four at most in a row; the numbers in each panel are the controllers' means over time and runs.
+    Units are smaller where these would show nothing.
 
     Args:
         runs: Controllers and their runs.
@@ -213,31 +225,44 @@ def sensor_figure(runs: Runs, title: str = "", names: Sequence[str] | None = Non
     heads = [f"sensor {s + 1}" for s in range(sensors)] if names is None else list(names)
     if len(heads) != sensors:
         raise ShapeError(f"names must have {sensors} entries, got {len(heads)}")
-    figure = style.new_figure(10.0, 6.0)
-    panels = figure.subplots(2, sensors, sharex=True, sharey="row", squeeze=False)
-    rows = (("angular", "angular error (crad)"), ("linear", "linear error (cm)"))
-    for row, (field, label) in enumerate(rows):
-        for s, ax in enumerate(panels[row]):
+    columns = min(sensors, COLUMNS)
+    blocks = -(-sensors // columns)
+    figure = style.new_figure(10.0, 1.2 + 4.8 * blocks)
+    panels = figure.subplots(2 * blocks, columns, sharex=True, squeeze=False)
+    fields = (("angular", style.ANGLES, "crad"), ("linear", style.LENGTHS, "cm"))
+    for f, (field, units, wanted) in enumerate(fields):
+        unit = style.fitting(units, [values(getattr(curves, field)) for curves in runs.values()], wanted)
+        row = [panels[2 * (s // columns) + f, s % columns] for s in range(sensors)]
+        for s, ax in enumerate(row):
             for index, (name, curves) in enumerate(runs.items()):
-                data = 1e2 * values(getattr(curves, field)[..., s])  # rad to crad, and m to cm
+                data = unit.per_si * values(getattr(curves, field)[..., s])
                 color = style.controller_color(name, index)
                 drawn = draw_band(ax, values(curves.time), data, color, name)
-                _number(ax, f"{style.digits(drawn.mean.mean())}", color, index)
-            style.dress(ax, TIME if row else "", label if s == 0 else "", "" if row else heads[s])
-        top = max(ax.dataLim.y1 for ax in panels[row])
-        panels[row, 0].set_ylim(0.0, 1.3 * top if top > 0 else 1.0)
+                _number(ax, f"{style.digits(drawn.mean.mean())} {unit.name}", color, index)
+            label = f"{field} error ({unit.name})" if s % columns == 0 else ""
+            style.dress(ax, TIME if f else "", label, "" if f else heads[s])
+        top = max(ax.dataLim.y1 for ax in row)
+        for s, ax in enumerate(row):
+            ax.set_ylim(0.0, (1.15 + 0.2 * len(runs)) * top if top > 0 else 1.0)
+            ax.locator_params(axis="y", nbins=5)
+            ax.tick_params(labelleft=s % columns == 0)
+    for s in range(sensors, blocks * columns):
+        for f in range(2):
+            panels[2 * (s // columns) + f, s % columns].set_axis_off()
     style.fit_time(panels[0, 0], values(next(iter(runs.values())).time))
     handles, labels = panels[0, 0].get_legend_handles_labels()
     look = {"frameon": False, "fontsize": style.LEGEND, "labelcolor": style.INK}
     figure.get_layout_engine().set(wspace=0.06)  # type: ignore[union-attr,call-arg]
-    figure.legend(handles, labels, loc="outside upper right", ncols=len(labels), title=title or None, **look)
+    most = max(curves.e.shape[1] for curves in runs.values())
+    about = "means over time" if most == 1 else f"means over time and {most} runs; bands from the least to the largest"
+    head = "; ".join(part for part in (title, about) if part)
+    figure.legend(handles, labels, loc="outside upper right", ncols=len(labels), title=head, **look)
     return figure
 
 
 def _number(ax: Axes, text: str, color: str, index: int) -> None:
-    prefix = "mean " if index == 0 else ""
     ax.annotate(
-        prefix + text, (0.98, 0.98), (0, -15 * index), xycoords="axes fraction", textcoords="offset points",
+        f"mean {text}", (0.98, 0.98), (0, -16 * index), xycoords="axes fraction", textcoords="offset points",
         ha="right", va="top", fontsize=style.TICK, color=color, fontweight="bold",
     )  # fmt: skip
 

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Sequence
 from html import escape
 from pathlib import Path
 from typing import NamedTuple
 
 from matplotlib.figure import Figure
+from matplotlib.patches import Patch
 
 from apcc_torch.evaluation.leaderboard import Failure, Score
 from apcc_torch.evaluation.payload import Estimate
@@ -110,17 +112,23 @@ class Leaderboard(NamedTuple):
         for score in own:
             totals[score.method] = totals.get(score.method, 0.0) + score.mean
         order = sorted(totals, key=lambda method: totals[method])
-        figure = style.new_figure(9.0, 0.5 * len(order) + 1.5)
+        figure = style.new_figure(9.0, max(0.5, 0.21 * len(sessions)) * len(order) + 1.9)
         ax = figure.subplots()
         height = 0.8 / len(sessions)
+        bar_type = 9.5
         for score in own:
             row = order.index(score.method) + height * (sessions.index(score.session) - 0.5 * (len(sessions) - 1))
             strength = 1.0 - 0.6 * sessions.index(score.session) / max(len(sessions) - 1, 1)
             ax.barh(row, score.mean, height, color=style.faded(COLORS[score.family], strength))
-            ax.text(score.mean, row, f" {style.digits(score.mean)}", va="center", fontsize=9, color=style.INK)
+            ax.text(score.mean, row, f" {style.digits(score.mean)}", va="center", fontsize=bar_type, color=style.INK)
         ax.set_yticks(range(len(order)), order)
         ax.invert_yaxis()
-        title = f"{self.title}: body {body} from {task}" + (f" ({', '.join(sessions)})" if len(sessions) > 1 else "")
+        title = "\n".join(textwrap.wrap(f"{self.title}: body {body} from {task}", 60))
+        if len(sessions) > 1:  # a session's bars are as pale in every method's colour
+            shades = [style.faded(style.INK, 1.0 - 0.6 * k / (len(sessions) - 1)) for k in range(len(sessions))]
+            keys = [Patch(color=shade, label=session) for shade, session in zip(shades, sessions, strict=True)]
+            look = {"frameon": False, "fontsize": style.LEGEND, "labelcolor": style.INK}
+            figure.legend(handles=keys, loc="outside lower center", ncols=min(len(keys), 3), **look)
         style.dress(ax, "root mean square error (mm)", "", title)
         ax.grid(False, axis="y")
         ax.margins(x=0.12)

@@ -49,12 +49,12 @@ def hero_figure(
     figure = style.new_figure(10.0, 5.0, constrained=False)
     colors = {name: (style.VERMILION, style.BLUE, *style.SERIES[2:])[k % 6] for k, name in enumerate(models)}
     arm = values(true_points)
-    box = bounding_box(arm, *(values(p) for p in models.values()), margin=0.045)
+    box = bounding_box(arm, *(values(p) for p in models.values()), margin=0.07)
     space = Space(figure.add_axes((0.0, 0.0, 0.61, 0.97)), box, camera, frame=False)
     if path is not None:
         space.plot(values(path), color=style.TARGET, linewidth=1.6, linestyle=":", zorder=0.6)
     _draw_tubes(space, arm)
-    draw_base(space, 0.05)
+    draw_base(space)
     for k, (name, points) in enumerate(models.items()):
         for shape in values(points):
             space.plot(shape, color="white", linewidth=3.4, zorder=3.0 + k, solid_capstyle="round")

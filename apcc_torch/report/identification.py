@@ -112,7 +112,7 @@ def prediction_figure(outcome: Outcome, title: str) -> Figure:
 
 def residual_figure(outcome: Outcome, title: str) -> Figure:
     """Where in the workspace the identified arm is wrong, which way, and at which bend; held-back samples only."""
-    figure = style.new_figure(11.0, 4.6)
+    figure = style.new_figure(10.0, 4.4)
     plane, side, bend = figure.subplots(1, 3)
     index = outcome.validation
     at = 1e3 * values(outcome.measured[index, -1])
@@ -139,7 +139,7 @@ def residual_figure(outcome: Outcome, title: str) -> Figure:
 
 def parameters_figure(parameters: Sequence[Interval], title: str) -> Figure:
     """Every parameter's 95 % interval relative to its nominal value, and the share of the variance that was learned."""
-    figure = style.new_figure(10.0, 0.2 * len(parameters) + 1.4)
+    figure = style.new_figure(10.0, 0.24 * len(parameters) + 1.4)
     ax, learned = figure.subplots(1, 2, width_ratios=(3, 1), sharey=True)
     for row, p in enumerate(parameters):
         half = 0.5 * (p.high - p.low)
@@ -153,6 +153,6 @@ def parameters_figure(parameters: Sequence[Interval], title: str) -> Figure:
     style.dress(ax, "distance from nominal (half-widths of the 95 % interval)", "", title)
     style.dress(learned, "variance removed (%)")
     learned.set_xlim(0.0, 100.0)
-    ax.tick_params(axis="y", labelsize=8.0)
+    ax.tick_params(axis="y", labelsize=10.0)
     ax.set_ylim(len(parameters) - 0.4, -0.6)
     return figure

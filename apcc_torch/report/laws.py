@@ -7,8 +7,8 @@ from collections.abc import Mapping
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, NullLocator
 
-from apcc_torch.report.style import INK, SERIES, dress, legend, new_figure
-from apcc_torch.report.trade_off import TICKS
+from apcc_torch.report.style import INK, LEGEND, SERIES, WIDEST, dress, legend, new_figure
+from apcc_torch.report.trade_off import TICKS, spaced
 
 MARKERS = ("o", "v", "^", "D", "s", "P", "X")
 
@@ -20,24 +20,25 @@ def law_figure(runs: Mapping[str, Mapping[str, tuple[float, float]]], title: str
         runs: Run -> law -> (shape error mm, Psi cm).
         title: Of the first panel, before its run's name.
     """
-    figure = new_figure(4.6 * len(runs), 4.6)
+    figure = new_figure(min(4.6 * len(runs), WIDEST), 4.6 + 0.28 * -(-len(next(iter(runs.values()))) // 2))
     axes = figure.subplots(1, len(runs), squeeze=False)[0]
     for ax, (run, laws) in zip(axes, runs.items(), strict=True):
         for i, (law, (shape, psi)) in enumerate(laws.items()):
             marker = MARKERS[i % len(MARKERS)]
             ax.plot([psi], [shape], marker, color=SERIES[i % len(SERIES)], markersize=10, label=law)
-        dress(ax, r"mean $\Psi$ (cm)", "mean shape error (mm)", f"{title}{run}")
+        dress(ax, r"mean $\Psi$ (cm)", "mean shape error (mm)" if ax is axes[0] else "", f"{title}{run}")
         ax.set_xscale("log")
         ax.set_yscale("log")
         for axis, values in ((ax.xaxis, [psi for _, psi in laws.values()]), (ax.yaxis, [e for e, _ in laws.values()])):
             axis.set_major_locator(
-                FixedLocator([tick for tick in TICKS if 0.4 * min(values) < tick < 2.5 * max(values)])
+                FixedLocator(spaced([tick for tick in TICKS if 0.7 * min(values) < tick < 1.4 * max(values)], 4))
             )
             axis.set_major_formatter("{x:g}")
             axis.set_minor_locator(NullLocator())
         ax.set_xlim(0.7 * min(psi for _, psi in laws.values()), 1.4 * max(psi for _, psi in laws.values()))
         ax.set_ylim(0.7 * min(e for e, _ in laws.values()), 1.4 * max(e for e, _ in laws.values()))
-    legend(axes[0], loc="best")
+    handles, labels = axes[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=2, frameon=False, fontsize=LEGEND, labelcolor=INK)
     return figure
 
 

@@ -29,7 +29,7 @@ class Overlay(NamedTuple):
 
 def overlay_figure(moments: Mapping[str, Overlay]) -> Figure:
     """True system and virtual model in the YZ plane, a panel a controller. Figs. 27, 31 [Dalenberg]."""
-    figure = style.new_figure(4.8 * len(moments), 6.0)
+    figure = style.new_figure(min(4.8 * len(moments), style.WIDEST), 6.0)
     axes = figure.subplots(1, len(moments), squeeze=False, sharex=True, sharey=True)[0]
     for ax, (name, moment) in zip(axes, moments.items(), strict=True):
         curve = np.concatenate((np.zeros((1, 3)), values(moment.curve)))
@@ -39,9 +39,12 @@ def overlay_figure(moments: Mapping[str, Overlay]) -> Figure:
         dot = {"linestyle": "none", "markeredgecolor": "white"}
         ax.plot(sensors[:, 1], sensors[:, 2], marker="o", color=style.SENSOR, label="sensors", **dot)
         ax.plot(target[1], target[2], marker="*", markersize=15, color=style.TARGET, label="target", **dot)
-        style.dress(ax, "y (m)", "z (m)", name)
+        style.dress(ax, "y (m)", "z (m)" if ax is axes[0] else "", name)
+        ax.locator_params(nbins=5)
         ax.set_aspect("equal", adjustable="box")
-    style.legend(axes[0], loc="lower left", fontsize=style.TICK)
+    handles, labels = axes[0].get_legend_handles_labels()
+    look = {"frameon": False, "fontsize": style.LEGEND, "labelcolor": style.INK}
+    figure.legend(handles, labels, loc="outside upper center", ncols=len(labels), **look)
     return figure
 
 

@@ -6,6 +6,7 @@ import difflib
 import math
 import textwrap
 from collections.abc import Sequence
+from typing import NamedTuple
 
 from apcc_torch.errors import ValueRangeError
 from apcc_torch.report.run_record import BROKEN, COMPLETE, FAILED, PRUNED, UNFINISHED
@@ -28,6 +29,9 @@ HEADLINES = (
 """The metrics that say most, first the one that ranks unless another is asked for."""
 DIVERGED = "diverged_rows"
 """A run with any ranks last, whatever its other metrics are."""
+SETTLED, TIP = "settled_share", "end_effector_error_end_mm"
+ARRIVED = 10.0
+"""Tip error at the end, mm, with which a run has come to its target, where it does not say what share has settled."""
 HIGHER_IS_BETTER = ("settled_share",)
 LISTED = 10
 """Most runs that the terminal remarks on."""
@@ -60,19 +64,68 @@ def headline_columns(table: RunTable, metric: str) -> list[Column]:
     return [present[name] for name in dict.fromkeys([*names, WALL]) if name in present]
 
 
+class Standing(NamedTuple):
+    """Whether a run's numbers can be held against others'.
+
+    level: 0 yes; 1 its tip never comes to its target; 2 it diverged. Higher ones rank behind lower ones.
+    why: In words; "" at level 0.
+    """
+
+    level: int = 0
+    why: str = ""
+
+
+def standings(table: RunTable) -> list[Standing]:
+    """Of every run: one that hardly moves has a small shape error, and is no good for that."""
+    cells = {column.name: column.cells for column in table.of_kind(METRIC)}
+    none: list[object] = [None] * len(table)
+    diverged, settled, tip = (cells.get(name, none) for name in (DIVERGED, SETTLED, TIP))
+    found = []
+    for lost, share, error in zip(diverged, settled, tip, strict=True):
+        if lost:
+            found.append(Standing(2, f"{number_text(lost)} of its rows diverged"))
+        elif isinstance(share, int | float):
+            found.append(Standing(1, "none of its rows comes to its target") if share == 0 else Standing())
+        elif isinstance(error, int | float) and not error <= ARRIVED:
+            found.append(Standing(1, f"its tip ends {number_text(float(error))} mm from the target"))
+        else:
+            found.append(Standing())
+    return found
+
+
 def ranked(table: RunTable, metric: str, descending: bool = False) -> list[int]:
-    """Row numbers of the complete runs from best to worst; those that diverged, or have no finite value, come last."""
-    cells = table.column(metric).cells
-    diverged = next((column.cells for column in table.of_kind(METRIC) if column.name == DIVERGED), [None] * len(table))
+    """Row numbers of the complete runs from best to worst.
+
+    Behind those that come to their target stand those that never do, and behind them those that diverged; what has no
+    finite value comes last among its like.
+    """
+    cells, standing = table.column(metric).cells, standings(table)
     complete = [k for k, status in enumerate(table.column("status").cells) if status == COMPLETE]
 
-    def place(k: int) -> tuple[bool, bool, float]:
+    def place(k: int) -> tuple[int, bool, float]:
         value = cells[k]
         finite = isinstance(value, int | float) and math.isfinite(value)
         signed = (-1.0 if descending else 1.0) * float(value) if finite else 0.0  # type: ignore[arg-type]
-        return bool(diverged[k]), not finite, signed
+        return standing[k].level, not finite, signed
 
     return sorted(complete, key=place)
+
+
+def best_and_worst(table: RunTable, metric: str, descending: bool = False) -> list[str]:
+    """Why the first run is the best and the last one the worst, a sentence each; nothing of fewer than two runs."""
+    order = ranked(table, metric, descending)
+    if len(order) < 2:
+        return []
+    column, runs, standing = table.column(metric), table.column("run").cells, standings(table)
+    ways = ("largest", "smallest") if descending else ("smallest", "largest")
+    told = []
+    for word, k, way in zip(("best", "worst"), (order[0], order[-1]), ways, strict=True):
+        like = sum(standing[other].level == standing[k].level for other in order)
+        why = f"{standing[k].why}, and " if standing[k].why else ""
+        words, value = column.label.words, f"{number_text(column.cells[k])} {column.label.unit}".rstrip()
+        among = "" if like == len(order) else f" of the {like} like it" if why else f" of the {like} that arrive"
+        told.append(f"{word}: {runs[k]}: {why}its {words}, {value}, is the {way}{among}")
+    return told
 
 
 def number_text(value: object) -> str:
@@ -133,7 +186,9 @@ def summary(table: RunTable, metric: str, top: int = 10, descending: bool = Fals
         body.insert(-1, f"({len(order) - len(shown)} more)")
     way = "largest" if descending else "smallest"
     head = f"{len(order)} complete of {len(table)} runs, by {metric}, {way} first"
-    return "\n".join([head, "", *body, *([f"\n{idle}"] if (idle := without_effect(table)) else []), *remarks(table)])
+    why = best_and_worst(table, metric, descending)
+    parts = [head, "", *body, *(["", *why] if why else [])]
+    return "\n".join([*parts, *([f"\n{idle}"] if (idle := without_effect(table)) else []), *remarks(table)])
 
 
 def without_effect(table: RunTable) -> str:

@@ -94,7 +94,7 @@ def replay_figure(
     _draw_residuals(angular, time, 1e2 * values(curves.angular), values(curves.orientation_reason), heads)
     style.dress(linear, "", "linear\nresidual (mm)")
     style.dress(angular, "", "angular\nresidual (crad)")
-    _above(linear, k)
+    _above(linear, min(k, 4))
     _draw_timeline(gates, time, values(curves.position_reason), values(curves.orientation_reason), heads)
     style.fit_time(gates, time)
     figure.align_ylabels([bends, lengths, linear, angular])
@@ -161,12 +161,12 @@ def _draw_timeline(ax: Axes, time: Array, position: Array, orientation: Array, n
                 ax.broken_barh(bars, (row - 0.36, 0.72), facecolors=color, linewidth=0)
     style.dress(ax, "time (s)", "")
     ax.grid(False, axis="y")
-    ax.set_yticks(range(len(rows)), [f"{name}, {kind}" for name, kind, _ in rows], fontsize=9.5)
+    ax.set_yticks(range(len(rows)), [f"{name}, {kind}" for name, kind, _ in rows], fontsize=10.0)
     ax.set_ylim(len(rows) - 0.4, -0.6)
     share = 100.0 * float(((position != 0) | (orientation != 0)).mean())
     ax.set_title(f"held back: {share:.2g} % of poses", fontsize=style.LABEL, color=style.INK, loc="left", pad=6)
     used = [code for code in REASON_COLORS if (position == code).any() or (orientation == code).any()]
     if used:
         keys = [Patch(color=REASON_COLORS[code], label=code.name.lower().replace("_", " ")) for code in used]
-        look = {"frameon": False, "fontsize": 10.0, "labelcolor": style.INK, "borderpad": 0.1, "borderaxespad": 0.3}
-        ax.legend(handles=keys, loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=len(keys), **look)
+        look = {"frameon": False, "fontsize": style.TICK, "labelcolor": style.INK, "borderpad": 0.1}
+        ax.figure.legend(handles=keys, loc="outside lower center", ncols=min(len(keys), 4), **look)

@@ -7,10 +7,11 @@ from typing import NamedTuple
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from torch import Tensor
 
 from apcc_torch.report import style
-from apcc_torch.report.backbone_drawing import draw_arms, draw_base, draw_markers, span_text, spread_indices
+from apcc_torch.report.backbone_drawing import draw_arms, draw_base, draw_markers, space_key, span_text, spread_indices
 from apcc_torch.report.space import Camera, Space, bounding_box
 from apcc_torch.report.style import values
 
@@ -42,8 +43,10 @@ def four_panel_figure(estimates: Estimates, moments: int = 6, title: str = "") -
     )
     cases = list(dict.fromkeys(case for case, _ in estimates))
     modes = list(dict.fromkeys(mode for _, mode in estimates))
-    figure = style.new_figure(9.0, 4.4 * len(cases) + 0.6)
-    axes = figure.subplots(len(cases), len(modes), squeeze=False)
+    height = 4.4 * len(cases) + 0.6
+    figure = style.new_figure(9.0, height, constrained=False)
+    edges = {"left": 0.005, "right": 0.995, "bottom": 0.05 / height, "top": 1.0 - 0.75 / height}
+    axes = figure.subplots(len(cases), len(modes), squeeze=False, gridspec_kw={**edges, "wspace": 0.02, "hspace": 0.09})
     for i, case in enumerate(cases):
         for j, mode in enumerate(modes):
             e = estimates[case, mode]
@@ -57,7 +60,7 @@ def four_panel_figure(estimates: Estimates, moments: int = 6, title: str = "") -
     head = (
         f"{title}; {span_text(time[[0, -1]])}; red: measured" if title else f"{span_text(time[[0, -1]])}; red: measured"
     )
-    figure.suptitle(head, fontsize=style.LABEL, color=style.MUTED)
+    figure.text(0.5, 1.0 - 0.3 / height, head, ha="center", fontsize=style.LABEL, color=style.MUTED)
     return figure
 
 
@@ -68,14 +71,23 @@ def final_figure(shapes: Mapping[str, tuple[Tensor, Tensor]]) -> Figure:
         shapes: Run -> points (N, 3) of the curve and sensors (k, 3), m.
     """
     box = bounding_box(*(values(part) for pair in shapes.values() for part in pair))
-    figure = style.new_figure(4.6 * len(shapes), 5.0)
-    axes = figure.subplots(1, len(shapes), squeeze=False)[0]
-    for ax, (name, (points, sensors)) in zip(axes, shapes.items(), strict=True):
+    columns = min(len(shapes), 3)
+    rows = -(-len(shapes) // columns)
+    height = 0.5 + 4.2 * rows
+    figure = style.new_figure(min(4.6 * columns, style.WIDEST), height, constrained=False)
+    edges = {"left": 0.005, "right": 0.995, "bottom": 0.1 / height, "top": 1.0 - 0.75 / height}
+    axes = figure.subplots(rows, columns, squeeze=False, gridspec_kw={**edges, "wspace": 0.02, "hspace": 0.1}).ravel()
+    for ax in axes[len(shapes) :]:
+        ax.set_axis_off()
+    for ax, (name, (points, places)) in zip(axes, shapes.items(), strict=False):
         space = Space(ax, box, Camera())
         draw_base(space)
         draw_arms(space, np.concatenate((np.zeros((1, 3)), values(points)))[None], style.TRUE, 4.0)
-        draw_markers(space, values(sensors))
-        ax.set_title(name, fontsize=style.TITLE, color=style.INK)
+        draw_markers(space, values(places))
+        ax.set_title(name.replace("_", " "), fontsize=style.TITLE, color=style.INK)
+    sensors = space_key(target=False)[-1]
+    keys = [Line2D([], [], color=style.TRUE, linewidth=4.0, label="curve through the sensors"), sensors]
+    figure.legend(handles=keys, loc="upper center", ncols=2, frameon=False, fontsize=style.LEGEND, labelcolor=style.INK)
     return figure
 
 

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import io
+import textwrap
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib import colors, rc_context, rcParamsDefault
@@ -33,7 +34,10 @@ DASHES: tuple[Any, ...] = ("-", (0, (5, 2)), (0, (1.2, 1.4)), (0, (6, 2, 1.2, 2)
 
 TITLE, LABEL, TICK, LEGEND = 13.0, 12.0, 11.0, 11.0
 LINE = 2.0
+WIDEST = 10.0
+"""Inches of the widest figure: what is wider is scaled down on a page until its type is too small."""
 DPI = 150
+WARNING: Mapping[str, Any] = {"fontsize": LABEL, "color": SENSOR, "fontweight": "bold"}
 LOOK = {key: value for key, value in rcParamsDefault.items() if not key.startswith(("backend", "interactive"))}
 """matplotlib's own settings, on which the rest of the look builds."""
 
@@ -98,8 +102,13 @@ def log_scale(ax: Axes, data: Sequence[Array], decades: float = 5.0) -> None:
         high = max(high, float(10.0 ** np.ceil(np.log10(top))))
     ax.set_ylim(low, high)
     ax.yaxis.set_major_locator(LogLocator(10, numticks=6))
-    ax.yaxis.set_major_formatter(FuncFormatter(lambda v, _: f"{v:g}"))
+    ax.yaxis.set_major_formatter(FuncFormatter(lambda v, _: decade(v)))
     ax.yaxis.set_minor_formatter(NullFormatter())
+
+
+def decade(value: float) -> str:
+    """A number of a logarithmic axis: 0.01, 1, 1000; a small or large power of ten as a formula."""
+    return f"{value:g}" if 1e-3 <= value < 1e4 else rf"$10^{{{round(np.log10(value))}}}$" if value > 0 else ""
 
 
 def from_zero(ax: Axes, headroom: float = 1.08) -> None:
@@ -115,8 +124,36 @@ def faded(color: str, strength: float) -> tuple[float, float, float]:
 
 
 def digits(value: float) -> str:
-    """A number with three significant digits, trailing zeros kept: 1.30, 0.0412, 123."""
-    return f"{value:#.3g}".rstrip(".")
+    """A number with three significant digits, trailing zeros kept: 1.30, 0.0412, 123; 4.12 10^-6 as a formula."""
+    text = f"{value:.0f}" if 1e3 <= abs(value) < 1e6 else f"{value:#.3g}".rstrip(".")
+    head, exponent, power = text.partition("e")
+    return rf"${head.rstrip('.')}\cdot 10^{{{int(power)}}}$" if exponent else text
+
+
+class Unit(NamedTuple):
+    """A unit to draw in: its name, and how many of it are in the SI unit."""
+
+    name: str
+    per_si: float
+
+
+LENGTHS = (Unit("m", 1.0), Unit("cm", 1e2), Unit("mm", 1e3), Unit("\N{MICRO SIGN}m", 1e6), Unit("nm", 1e9))
+ANGLES = (Unit("rad", 1.0), Unit("crad", 1e2), Unit("mrad", 1e3), Unit("\N{MICRO SIGN}rad", 1e6), Unit("nrad", 1e9))
+
+
+def fitting(units: Sequence[Unit], data: Sequence[Array], wanted: str) -> Unit:
+    """The unit in which data's largest number is well told: the wanted one, or the first smaller one that shows it.
+
+    Args:
+        units: From the largest to the smallest.
+        data: In the SI unit.
+        wanted: The name of the one that is taken where its numbers are not small.
+    """
+    flat = np.concatenate([np.abs(np.ravel(d)) for d in data])
+    flat = flat[np.isfinite(flat)]
+    top = float(flat.max()) if flat.size else 0.0
+    smaller = units[[unit.name for unit in units].index(wanted) :]
+    return next((unit for unit in smaller if top * unit.per_si >= 0.1), smaller[0] if top == 0.0 else smaller[-1])
 
 
 def controller_color(name: str, index: int) -> str:
@@ -195,7 +232,30 @@ def save_figures(
 
 
 def warned(figure: Figure, warning: str | None) -> Figure:
-    """The figure with a warning below it: that what it shows diverged."""
-    if warning:
-        figure.supxlabel(warning, fontsize=LABEL, color=SENSOR, fontweight="bold", wrap=True)
+    """The figure with a strip below it that holds a warning: that what it shows diverged."""
+    if not warning:
+        return figure
+    width, height = figure.get_size_inches()
+    lines = [part for line in warning.splitlines() for part in textwrap.wrap(line, int(9.5 * width))]
+    strip = 0.14 + 0.22 * len(lines)
+    whole = height + strip
+    figure.text(0.5, 0.07 / whole, "\n".join(lines), ha="center", va="bottom", **WARNING)
+    engine = figure.get_layout_engine()
+    if engine is not None:
+        engine.set(rect=(0.0, strip / whole, 1.0, height / whole))  # type: ignore[call-arg]
+        figure.set_size_inches(width, whole)
+        return figure
+    anchors = [each.get_bbox_to_anchor().transformed(figure.transFigure.inverted()) for each in figure.legends]
+    figure.set_size_inches(width, whole)
+
+    def up(y: float) -> float:
+        return (y * height + strip) / whole
+
+    for ax in figure.axes:
+        place = ax.get_position(original=True)
+        ax.set_position((place.x0, up(place.y0), place.width, place.height * height / whole))
+    for text in figure.texts[:-1]:
+        text.set_y(up(text.get_position()[1]))
+    for each, anchor in zip(figure.legends, anchors, strict=True):
+        each.set_bbox_to_anchor((anchor.x0, up(anchor.y0), anchor.width, anchor.height * height / whole))
     return figure

@@ -8,7 +8,7 @@ from typing import NamedTuple
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullLocator
 
-from apcc_torch.report.style import CONTROLLERS, INK, dress, from_zero, legend, new_figure
+from apcc_torch.report.style import CONTROLLERS, INK, LEGEND, WIDEST, dress, from_zero, new_figure
 
 Pair = tuple[float, float]
 
@@ -30,7 +30,7 @@ class TradeOff(NamedTuple):
 
 def trade_off_figure(runs: Mapping[str, TradeOff]) -> Figure:
     """A panel a run: mean shape error over mean Psi."""
-    figure = new_figure(4.6 * len(runs), 4.4)
+    figure = new_figure(min(4.6 * len(runs), WIDEST), 5.2)
     axes = figure.subplots(1, len(runs), squeeze=False)[0]
     for ax, (title, run) in zip(axes, runs.items(), strict=True):
         for name, front in run.fronts.items():
@@ -40,14 +40,20 @@ def trade_off_figure(runs: Mapping[str, TradeOff]) -> Figure:
         ax.axhline(run.least, color=INK, linewidth=1.0, linestyle=":", label="best three arcs")
         for name, (error, elongation) in run.reached.items():
             ax.plot(elongation, error, "o", color=CONTROLLERS[name], markersize=10, label=name)
-        dress(ax, r"mean $\Psi$ (cm)", r"mean shape error (mm)", title)
+        dress(ax, r"mean $\Psi$ (cm)", "mean shape error (mm)" if ax is axes[0] else "", title)
         every = [psi for pairs in (*run.fronts.values(), run.reached.values()) for _, psi in pairs]
         low, high = min(every), max(every)
         if high > 3.0 * low:
             ax.set_xscale("log")
-            ax.set_xticks([tick for tick in TICKS if 0.9 * low < tick < 1.1 * high])
+            ax.set_xticks(spaced([tick for tick in TICKS if 0.9 * low < tick < 1.1 * high], 5))
             ax.xaxis.set_major_formatter("{x:g}")
             ax.xaxis.set_minor_locator(NullLocator())
         from_zero(ax)
-    legend(axes[0], loc="best")
+    handles, labels = axes[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=2, frameon=False, fontsize=LEGEND, labelcolor=INK)
     return figure
+
+
+def spaced(ticks: Sequence[float], most: int) -> list[float]:
+    """At most so many of the ticks, evenly chosen, the first among them."""
+    return list(ticks[:: -(-len(ticks) // most)]) if ticks else []

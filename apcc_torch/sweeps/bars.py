@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import sys
 import threading
-from typing import NamedTuple, Never, TextIO
+from typing import Any, NamedTuple, Never, TextIO
 
 from tqdm import tqdm
 
+from apcc_torch.bars import terminal_bar
 from apcc_torch.errors import DataError
 from apcc_torch.files import json_in, read_text
 from apcc_torch.plain_text import for_terminal
@@ -86,15 +87,15 @@ class SweepBars:
             bar.close()
 
     def _bar(self, position: int, total: int, label: str) -> tqdm[Never]:
-        return tqdm(
-            total=total,
-            desc=label,
-            position=position,
-            file=self.file,
-            bar_format=LAYOUT,
-            leave=position == 0,
-            dynamic_ncols=True,
-        )
+        look: dict[str, Any] = {
+            "total": total,
+            "desc": label,
+            "position": position,
+            "bar_format": LAYOUT,
+            "leave": position == 0,
+        }
+        made: tqdm[Never] = terminal_bar(file=self.file, **look)
+        return made
 
     def _draw(self) -> None:
         jobs = running(self.folder)

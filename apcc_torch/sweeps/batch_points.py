@@ -23,7 +23,7 @@ from apcc_torch.composition.run_settings import SimulateSettings
 from apcc_torch.composition.schema import sentence, values_of
 from apcc_torch.composition.stacking import Point
 from apcc_torch.composition.unread import check_given, of_a_simulation
-from apcc_torch.errors import ConfigError
+from apcc_torch.errors import Checks, ConfigError
 from apcc_torch.reading import read
 
 MOST = 100_000
@@ -107,14 +107,15 @@ def points_of(cfg: DictConfig, ours: Sequence[str], config_name: str, swept: Ite
     if math.prod(map(len, axes)) > MOST:
         raise ConfigError(f"a sweep may have {MOST} points, got {' times '.join(str(len(axis)) for axis in axes)}")
     bases: dict[tuple[str, ...], _Base] = {}
-    points = []
+    points, checks = [], Checks()
     for index, chosen in enumerate(itertools.product(*axes)):
         composed = tuple(choice.override for choice in chosen if not choice.plain)
-        with _naming(", ".join(choice.override for choice in chosen)):
+        with checks.one(), _naming(", ".join(choice.override for choice in chosen)):
             if composed not in bases:
                 bases[composed] = _Base(compose(config_name, [*ours, *composed]) if composed else cfg)
             config = bases[composed].changed([choice for choice in chosen if choice.plain])
-        points.append(Point(index, {choice.key: choice.text for choice in chosen}, config))
+            points.append(Point(index, {choice.key: choice.text for choice in chosen}, config))
+    checks.end()
     # Each point is a run by itself, which reads nothing of how the batch is run.
     given = [word for word in ours if not word.lstrip("+").startswith("batch_")]
     given += [f"{choice.key}=" for axis in axes for choice in axis[:1]]

@@ -13,14 +13,14 @@ from typing import Any, ClassVar
 
 from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
 from hydra.core.override_parser.overrides_parser import OverridesParser
-from hydra.core.override_parser.types import Override
+from hydra.core.override_parser.types import IntervalSweep, Override
 from omegaconf import DictConfig, OmegaConf, open_dict, read_write
 
 from apcc_torch.composition.run_settings import SimulateSettings
 from apcc_torch.composition.schema import typed
 from apcc_torch.composition.unread import check_given, of_a_simulation
 from apcc_torch.conf_path import conf_path
-from apcc_torch.errors import ApccError, ConfigError, DataError
+from apcc_torch.errors import ApccError, Checks, ConfigError, DataError
 from apcc_torch.experiments.run import PRUNED, objective_in
 from apcc_torch.plain_text import plain_logger
 from apcc_torch.processes import again
@@ -86,13 +86,32 @@ def _sweeps(config: DictConfig) -> tuple[list[Override], dict[str, Override]]:
 
 
 def check_jobs(config: DictConfig) -> None:
-    """Raises ConfigError or ValueRangeError where a job's settings have no meaning; a search draws its own."""
+    """Raises ConfigError or ValueRangeError where a job's settings have no meaning.
+
+    A search draws its own: of it the ends of each range and each choice are tried, the others as they are.
+    """
     overrides, swept = _sweeps(config)
-    if config.hydra.sweeper.get("n_trials") is not None or any(key.startswith("hydra") for key in swept):
+    if any(key.startswith("hydra") for key in swept):
         check_given(of_a_simulation, [typed(config, SimulateSettings)], [str(o.input_line) for o in overrides])
         return
-    fixed = [o.input_line for o in overrides if o.get_key_element().lstrip("+~") not in swept]
-    points_of(config, [str(line) for line in fixed], str(config.hydra.job.config_name), swept.values())
+    fixed = [str(o.input_line) for o in overrides if o.get_key_element().lstrip("+~") not in swept]
+    name = str(config.hydra.job.config_name)
+    if config.hydra.sweeper.get("n_trials") is None:
+        points_of(config, fixed, name, swept.values())
+        return
+    checks = Checks()
+    for override in swept.values():
+        with checks.one():
+            points_of(config, fixed, name, [_tried(override)])
+    checks.end()
+
+
+def _tried(override: Override) -> Override:
+    """What a search may draw of a key, as a sweep: its choices, or the ends of its interval."""
+    ends = override.value()
+    if not isinstance(ends, IntervalSweep):
+        return override
+    return OverridesParser.create().parse_override(f"{override.get_key_element()}={ends.start},{ends.end}")
 
 
 def check_installed(target: str) -> None:

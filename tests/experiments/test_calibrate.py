@@ -23,7 +23,7 @@ from apcc_torch.hardware.stops import StopReason
 from composed import composed_realtime
 
 QUICK = (
-    "hardware=lockstep", "hardware.world.step=0.01", "plant.settle=0.5", "loop.hold=0.0",
+    "hardware=lockstep", "figures=false", "hardware.world.step=0.01", "plant.settle=0.5", "loop.hold=0.0",
     "calibration.frames=10", "loop.warm_up=3", "loop.fresh_frames=1", "experiment.duration=0.1", "view=false",
     "compile=off",
 )  # fmt: skip

@@ -87,7 +87,7 @@ def test_settling_time_is_that_of_the_last_crossing() -> None:
     # Errors of three runs over 0..4 s: settled after 2 s, never, at once.
     e = 1e-3 * torch.tensor([[50, 5, 50, 5, 5], [50, 50, 50, 50, 50], [5, 5, 5, 5, 5]], dtype=torch.float64).T
     flat, per_sensor = torch.zeros_like(e), torch.zeros(5, 3, 2, dtype=torch.float64)
-    curves = dynamic.figures.RunCurves(
+    curves = dynamic.RunCurves(
         time=torch.arange(5, dtype=torch.float64),
         shape_error=torch.linspace(1e-3, 15e-3, 15, dtype=torch.float64).view(5, 3),
         psi=flat,

@@ -13,7 +13,7 @@ from composed import composed_realtime
 # One sensor at the tip of three sections, and no law: the model fits there, and is 30 mm off the arm elsewhere.
 QUICK = (
     "experiment=setpoint", "hardware=lockstep", "hardware.world.step=0.01", "plant.settle=0.1", "loop.hold=0.0",
-    "loop.warm_up=3", "loop.fresh_frames=1", "view=false", "compile=off", "experiment.duration=0.6",
+    "figures=false", "loop.warm_up=3", "loop.fresh_frames=1", "view=false", "compile=off", "experiment.duration=0.6",
     "arm.sensors=[0.6]", "divergence.shape=0.04", "controller.adaptive=false",
 )  # fmt: skip
 

@@ -29,7 +29,7 @@ from odd_values import seeds
 
 QUICK = (
     "experiment=setpoint", "hardware=lockstep", "hardware.world.step=0.01", "plant.settle=0.1", "loop.hold=0.0",
-    "loop.warm_up=3", "loop.fresh_frames=1", "experiment.duration=0.1", "view=false", "compile=off",
+    "figures=false", "loop.warm_up=3", "loop.fresh_frames=1", "experiment.duration=0.1", "view=false", "compile=off",
 )  # fmt: skip
 COMMANDS = ("replay", "parquet", "attachments", "parquet", "attachments")
 """Tried in turn; a replay takes the longest."""

@@ -57,7 +57,7 @@ def test_four_panels_hold_the_four_estimators(tmp_path: Path) -> None:
 def test_final_shapes_have_a_panel_each(tmp_path: Path) -> None:
     shape = torch.rand(20, 3, dtype=torch.float64), torch.rand(3, 3, dtype=torch.float64)
     figure = final_figure({"run_4": shape, "run_8": shape})
-    assert [ax.get_title() for ax in figure.axes] == ["run_4", "run_8"]
+    assert [ax.get_title() for ax in figure.axes] == ["run 4", "run 8"]
     assert save_figure(figure, tmp_path / "a.png").stat().st_size > 5_000
 
 

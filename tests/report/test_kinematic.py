@@ -95,13 +95,24 @@ def test_sensor_errors_per_sensor(log: KinematicLog, abscissae: Tensor) -> None:
 def test_every_figure_is_written(
     tmp_path: Path, log: KinematicLog, pi: Tensor, abscissae: Tensor, arm: PCCBackbone
 ) -> None:
-    draw = kinematic.kinematic_figures(log, pi, abscissae, arm)
+    rows = KinematicLog(log.time, *(torch.stack((field, field), dim=1) for field in log[1:]))
+    draw = kinematic.kinematic_figures(rows, pi, abscissae, arm)
     figures = {name: make() for name, make in draw.items()}
     labelled = [ax for figure in figures.values() for ax in figure.axes if ax.get_ylabel()]
     assert len(labelled) == 6 and all(ax.get_ylabel().endswith(")") for ax in labelled)  # a unit on each
     assert all(figure.axes[-1].get_xlabel() == "time (s)" for figure in figures.values())
     paths = save_figures(draw, tmp_path, dpi=40)
     assert [p.name for p in paths] == ["figure_7.png", "figure_8.png", "figure_9.png"]
+
+
+def test_other_starts_are_drawn_behind(log: KinematicLog, pi: Tensor, abscissae: Tensor, arm: PCCBackbone) -> None:
+    rows = KinematicLog(log.time, *(torch.stack((field, field, field), dim=1) for field in log[1:]))
+    alone = KinematicLog(log.time, *(field.unsqueeze(1) for field in log[1:]))
+    for name in ("figure_7.png", "figure_8.png", "figure_9.png"):
+        many, one = (kinematic.kinematic_figures(each, pi, abscissae, arm)[name]() for each in (rows, alone))
+        lines = [sum(len(ax.lines) for ax in figure.axes) for figure in (many, one)]
+        # Two more rows: three panels, three sections, or three sensors in two panels.
+        assert lines[0] - lines[1] == {"figure_7.png": 6, "figure_8.png": 6, "figure_9.png": 12}[name]
 
 
 def test_a_row_of_a_batch(log: KinematicLog, pi: Tensor, abscissae: Tensor, arm: PCCBackbone) -> None:

@@ -11,11 +11,13 @@ from hypothesis import strategies as st
 
 from apcc_torch.errors import ValueRangeError
 from apcc_torch.report.ranking import (
+    best_and_worst,
     choose_metric,
     headline_columns,
     lines,
     number_text,
     ranked,
+    standings,
     summary,
     without_effect,
 )
@@ -53,6 +55,34 @@ def test_a_run_with_diverged_rows_is_last_whatever_its_metric() -> None:
     ]
     assert ranked(tidy(runs), "psi_mean_cm") == [2, 0, 3, 4, 1]
     assert ranked(tidy(runs), "psi_mean_cm", descending=True) == [0, 2, 3, 1, 4]
+
+
+def test_a_run_that_never_arrives_is_behind_those_that_do_and_says_why() -> None:
+    settled = [
+        Run(name, "complete", metrics={"shape_error_mean_mm": shape, "settled_share": share, "diverged_rows": lost})
+        for name, shape, share, lost in (
+            ("still", 0.1, 0.0, 0.0),
+            ("a", 2.0, 0.5, 0.0),
+            ("b", 1.0, 1.0, 0.0),
+            ("c", 3.0, 1.0, 1.0),
+        )
+    ]
+    assert ranked(tidy(settled), "shape_error_mean_mm") == [2, 1, 0, 3]
+    best, worst = best_and_worst(tidy(settled), "shape_error_mean_mm")
+    assert best == "best: b: its shape error mean, 1 mm, is the smallest of the 2 that arrive"
+    assert worst.startswith("worst: c: 1 of its rows diverged, and its shape error mean, 3 mm, is the largest")
+    assert best in summary(tidy(settled), "shape_error_mean_mm")
+    tips = [
+        Run(name, "complete", metrics={"shape_error_mean_mm": shape, "end_effector_error_end_mm": tip})
+        for name, shape, tip in (("still", 0.1, 90.0), ("a", 2.0, 0.5), ("lost", 0.2, math.nan))
+    ]
+    assert ranked(tidy(tips), "shape_error_mean_mm") == [1, 0, 2]
+    assert [s.why for s in standings(tidy(tips))] == [
+        "its tip ends 90 mm from the target",
+        "",
+        "its tip ends nan mm from the target",
+    ]
+    assert best_and_worst(tidy(tips[:1]), "shape_error_mean_mm") == []
 
 
 def test_the_metric_is_the_one_asked_for_or_the_most_telling() -> None:

@@ -52,7 +52,7 @@ def test_residuals_are_hidden_where_held_back(curves: ReplayCurves) -> None:
 
 def test_timeline_names_only_what_happened(curves: ReplayCurves) -> None:
     gates = replay_figure(curves, names=["disk 1", "disk 2"]).axes[4]
-    texts = [text.get_text() for text in gates.get_legend().get_texts()]
+    texts = [text.get_text() for text in gates.figure.legends[0].get_texts()]
     assert texts == ["untracked", "jump"]
     labels = [label.get_text() for label in gates.get_yticklabels()]
     assert labels == ["disk 1, position", "disk 1, rotation", "disk 2, position", "disk 2, rotation"]

@@ -30,9 +30,10 @@ def test_known_views() -> None:
 
 def test_box_holds_the_base_and_all_finite_points() -> None:
     points = np.array([[0.3, -0.2, -0.6], [np.nan, 0.0, 0.0]])
-    box = bounding_box(points, margin=0.05, least=0.2)
+    box = bounding_box(points, margin=0.05, least=0.5)
     assert (box.low <= (0.0, -0.2, -0.6)).all() and (box.high >= (0.3, 0.0, 0.0)).all()
-    assert (box.high - box.low >= 0.2 - 1e-12).all()
+    assert (box.high - box.low >= 0.5 * 0.6 - 1e-12).all()
+    assert np.allclose(bounding_box(0.1 * points).high, 0.1 * bounding_box(points).high), "it goes with the arm"
 
 
 @pytest.mark.parametrize("view", [(14.0, -62.0), (14.0, -14.0), (-20.0, 130.0), (0.0, 0.0)])

@@ -101,6 +101,21 @@ def test_a_wrong_setting_of_one_job_ends_the_sweep_before_anything_runs(tmp_path
     assert not jobs(tmp_path / "s")
 
 
+@pytest.mark.parametrize(
+    ("draws", "said"),
+    [
+        ("choice(1,abc)", "controller.K must be a number, a list of numbers or [along, ...], got 'abc'"),
+        ("interval(-1,2)", "controller.K must be positive and finite, got -1.0"),
+    ],
+)
+def test_so_does_what_a_search_may_draw(tmp_path: Path, draws: str, said: str) -> None:
+    pytest.importorskip("hydra_plugins.hydra_optuna_sweeper")
+    done = simulate(tmp_path, *QUICK, "sweep=optuna_gains", f"controller.K={draws}", "hydra.sweep.dir=s")
+    told = done.stdout + done.stderr
+    assert done.returncode == 2 and said in told and "Traceback" not in told
+    assert not jobs(tmp_path / "s")
+
+
 def test_a_launcher_that_is_not_installed_is_named_with_its_extra(tmp_path: Path) -> None:
     own = tmp_path / "conf" / "hydra" / "launcher"
     own.mkdir(parents=True)

@@ -12,7 +12,7 @@ from string import Template
 
 from apcc_torch.plain_text import for_terminal
 from apcc_torch.report.pictures import Picture
-from apcc_torch.report.ranking import HIGHER_IS_BETTER, headline_columns
+from apcc_torch.report.ranking import HIGHER_IS_BETTER, headline_columns, standings
 from apcc_torch.report.run_table import KEY, METRIC, Cell, Column, RunTable, differing
 
 SCRIPTS = ("data", "filter", "table", "scales", "plot", "pictures", "compare", "run", "main")
@@ -61,6 +61,7 @@ class Page:
             "metric": self.metric,
             "descending": self.descending,
             "higher": list(HIGHER_IS_BETTER),
+            "standings": [standing._asdict() for standing in standings(self.table)],
             "footer": self.footer,
             "folders": list(self.folders),
             "pictures": {str(row): [picture._asdict() for picture in of_row] for row, of_row in self.pictures.items()},

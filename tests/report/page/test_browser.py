@@ -60,6 +60,28 @@ def run(browser: Any, script: str) -> Any:
     return browser.execute_script(script)
 
 
+def test_limits_put_runs_that_break_them_behind_and_best_and_worst_say_why(
+    browser: Any, tmp_path: Path, write_run: WriteRun
+) -> None:
+    told = (("0", 1.0, 9.0, 1.0), ("1", 2.0, 1.0, 1.0), ("2", 3.0, 2.0, 1.0), ("3", 0.5, 400.0, 0.0))
+    for name, shape, tip, share in told:
+        metrics = {"shape_error_mean_mm": shape, "end_effector_error_end_mm": tip, "settled_share": share}
+        write_run(tmp_path / "s" / name, {"a": {"gain": float(name)}}, metrics)
+    program.main([str(tmp_path / "s")])
+    opened(browser, tmp_path / "s" / "report.html")
+    why = "return document.getElementById('why').textContent"
+    pair = "return [...document.querySelectorAll('#pair button')].map((each) => each.textContent)"
+    assert run(browser, pair) == ["0", "3"], "the smallest shape error is that of a run that never arrives"
+    assert "Worst: 3: none of its rows comes to its target" in run(browser, why)
+    run(browser, "document.getElementById('limited').value = 'end_effector_error_end_mm'")
+    run(browser, "document.getElementById('limit-value').value = '5'")
+    run(browser, "document.getElementById('limit').requestSubmit()")
+    assert run(browser, pair) == ["1", "3"]
+    assert "of the 2 that arrive and keep every limit" in run(browser, why)
+    run(browser, "document.querySelector('#limits button').click()")
+    assert run(browser, pair) == ["0", "3"] and not errors(browser)
+
+
 def errors(browser: Any) -> list[str]:
     return [entry["message"] for entry in browser.get_log("browser")]
 

@@ -12,16 +12,28 @@ function factRow(column, best, worst) {
   return make("tr", { class: look }, rowHead(column), ...[...texts, gap].map((text) => make("td", { class: column.number ? "number" : null }, text)));
 }
 
+// Why a run is the first, or the last, of the order.
+function reason(word, row, order, first) {
+  const column = byName.get(state.metric);
+  const stands = standing(row);
+  const like = order.filter((other) => standing(other).level === stands.level).length;
+  const way = first !== state.descending ? "smallest" : "largest";
+  const among = like === order.length ? "" : stands.why ? ` of the ${like} that stand so` : ` of the ${like} that arrive and keep every limit`;
+  return `${word}: ${names[row]}: ${stands.why ? `${stands.why}; ` : ""}its ${column.words}, ${written(column, row)} ${column.unit}`.trim() + `, is the ${way}${among}.`;
+}
+
 function drawPair() {
   const order = ranked(state.rows).filter((row) => Number.isFinite(byName.get(state.metric).cells[row]));
   const [table, figures] = [byId("pair"), byId("pair-figures")];
   if (order.length < 2) {
     table.replaceChildren();
+    byId("why").textContent = "";
     byId("figure-choice").hidden = true;
     figures.replaceChildren(make("p", { class: "hint" }, "Two complete runs are needed to compare."));
     return;
   }
   const [best, worst] = [order[0], order[order.length - 1]];
+  byId("why").replaceChildren(reason("Best", best, order, true), make("br"), reason("Worst", worst, order, false));
   const head = (row, word, look) => make("th", { scope: "col" }, make("span", { class: look }, word), make("br"),
     make("button", { type: "button", title: "Show this run", "data-pair": look, onclick: () => show(row) }, names[row]));
   const differ = keys.filter((column) => column.varies && written(column, best) !== written(column, worst));

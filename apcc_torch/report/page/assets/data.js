@@ -25,6 +25,7 @@ const state = {
   rows: everyRow, // those the filters let through
   order: everyRow, // the same, sorted as the table is
   chosen: 0,
+  limits: [], // {column, most, value}: what a run must keep to
 };
 const listeners = { rows: [], metric: [], chosen: [], theme: [] };
 const on = (event, action) => listeners[event].push(action);
@@ -63,13 +64,26 @@ function distinct(column, rows) {
   return column.number ? found.sort((a, b) => a - b) : found.sort(new Intl.Collator("en", { numeric: true }).compare);
 }
 
-// Complete rows by the page's metric, best first; what diverged or is not finite comes last.
+const signOf = (limit) => (limit.most ? "≤" : "≥");
+const keeps = (limit, row) => (limit.most ? limit.column.cells[row] <= limit.value : limit.column.cells[row] >= limit.value);
+
+// How far behind a row stands, and why: 0 it keeps all limits; 1 it does not; 2 it never arrives; 3 it diverged.
+function standing(row) {
+  const { level, why } = data.standings[row];
+  if (level) return { level: level + 1, why };
+  const broken = state.limits.filter((limit) => !keeps(limit, row));
+  const told = broken.map((limit) => `its ${limit.column.words} is ${written(limit.column, row)} ${limit.column.unit}`.trim() + `, not ${signOf(limit)} ${short(limit.value)}`);
+  return { level: broken.length ? 1 : 0, why: told.join("; ") };
+}
+
+// Complete rows by the page's metric, best first, behind each other as they stand; what is not finite comes last.
 function ranked(rows) {
   const cells = byName.get(state.metric).cells;
   const sign = state.descending ? -1 : 1;
   const place = (row) => (Number.isFinite(cells[row]) ? sign * cells[row] : Infinity);
-  const lost = (row) => Number(byName.get("diverged_rows")?.cells[row] > 0);
-  return rows.filter((row) => statuses[row] === "complete").sort((a, b) => lost(a) - lost(b) || place(a) - place(b) || a - b);
+  const complete = rows.filter((row) => statuses[row] === "complete");
+  const level = new Map(complete.map((row) => [row, standing(row).level]));
+  return complete.sort((a, b) => level.get(a) - level.get(b) || place(a) - place(b) || a - b);
 }
 
 function median(values) {

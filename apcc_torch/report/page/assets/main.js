@@ -41,6 +41,22 @@ function drawChosen() {
   byId("chosen").textContent = `Chosen: ${names[state.chosen]}`;
 }
 
+// Limits that the ranking puts first: runs that break one stand behind those that keep all.
+function startLimits() {
+  fill(byId("limited"), metrics.map((column) => [column.name, heading(column)]), metrics.find((column) => column.name.startsWith("end_effector"))?.name ?? state.metric);
+  const draw = () => byId("limits").replaceChildren(...state.limits.map((limit) => make("button", { type: "button", class: "quiet", title: "Lift this limit", onclick: () => {
+    state.limits.splice(state.limits.indexOf(limit), 1);
+    draw();
+    tell("metric");
+  } }, `${heading(limit.column)} ${signOf(limit)} ${short(limit.value)} ✕`)));
+  byId("limit").addEventListener("submit", (event) => {
+    event.preventDefault();
+    state.limits.push({ column: byName.get(byId("limited").value), most: byId("limit-way").value === "most", value: Number(byId("limit-value").value) });
+    draw();
+    tell("metric");
+  });
+}
+
 function start() {
   byId("theme").addEventListener("click", () => {
     theme = THEMES[(THEMES.indexOf(theme) + 1) % THEMES.length];
@@ -60,6 +76,7 @@ function start() {
     state.descending = event.target.value === "down";
     tell("metric");
   });
+  startLimits();
   on("rows", drawShown);
   on("chosen", drawChosen);
   state.chosen = ranked(everyRow)[0] ?? 0;
