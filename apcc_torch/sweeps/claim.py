@@ -180,8 +180,17 @@ def or_no_run() -> Iterator[None]:
 
 
 def check_options(program: str) -> None:
-    """Refuses, in one sentence, options that hydra would refuse with a page of usage."""
-    Arguments(f"apcc_torch.{program}", parents=[get_args_parser()], add_help=False).parse_args(sys.argv[1:])
+    """Refuses, in one sentence, options that hydra would refuse with a page of usage.
+
+    Raises:
+        ConfigError: One of them would run what a file holds: hydra reruns a job from a pickle.
+    """
+    parser = Arguments(f"apcc_torch.{program}", parents=[get_args_parser()], add_help=False)
+    if parser.parse_args(sys.argv[1:]).experimental_rerun is not None:  # its name may be cut short
+        raise ConfigError(
+            "--experimental-rerun is refused, as a pickle runs whatever its author wrote into it: give the words of "
+            "the run's .hydra/overrides.yaml to the command instead"
+        )
 
 
 def refusals(program: str) -> AbstractContextManager[None]:
