@@ -2,18 +2,26 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from apcc_torch.annotations import shown
 from apcc_torch.composition.arm_file import SUFFIXES, spelled
+from apcc_torch.composition.evaluate import EvaluateSettings
 from apcc_torch.composition.identify import known_arm
-from apcc_torch.errors import ConfigError, DataError
+from apcc_torch.composition.schema import groups
+from apcc_torch.errors import ConfigError, DataError, ValueRangeError
 from apcc_torch.files import read_text, yaml_in
-from apcc_torch.recordings.data_set import holding, named_set, refuse, set_file, set_names
+from apcc_torch.reading import nested_in, read
+from apcc_torch.recordings.data_set import DataSettings, holding, named_set, refuse, set_file, set_names
+from apcc_torch.settings import did_you_mean
 
 FILE = "data.yaml"
 """Name of a data set's file in a folder that is given for it."""
+ITS_OWN = ("spread", "recording", "split", "fit", "methods", "every", "seed")
+"""Keys of evaluate's that a data set's file may have beside data: nothing of folders, threads or Hydra."""
 
 
 def data_override(arguments: Sequence[str]) -> list[str]:
@@ -68,13 +76,25 @@ def _of_file(file: Path, named: bool = False) -> tuple[list[str], str]:
     values = yaml_in(read_text(file, name=str(file)), str(file))
     if not isinstance(values, dict) or not isinstance(values.get("data"), dict):
         raise DataError(f"{file}: must hold the group data, as the files of conf/data_set do")
+    for key in values:
+        if key not in ("data", *ITS_OWN):
+            raise DataError(f"{file}: {shown(key)} is nothing that a data set says{did_you_mean(str(key), ITS_OWN)}")
     data: dict[str, Any] = {"name": file.stem if file.name != FILE else file.resolve().parent.name} | values.pop("data")
     if not named and data.get("source") is None:
         data.setdefault("folder", ".")
-    if data.get("folder") is not None:
-        data["folder"] = str((file.resolve().parent / str(data["folder"])).resolve())
-    arm = str(data.get("arm", ""))
-    if arm.endswith(SUFFIXES):
-        arm = str(file.resolve().parent / arm)
-    words = [f"data={spelled(data)}"]
-    return [*words, *(f"{key}={spelled(value)}" for key, value in values.items())], arm
+    try:
+        arm = read(data, DataSettings, "data").arm
+        if arm.endswith(SUFFIXES):
+            arm = str(file.resolve().parent / arm)
+        elif arm and arm not in groups("evaluate")["arm"]:
+            raise ConfigError(f"data.arm has no choice {arm!r}{did_you_mean(arm, groups('evaluate')['arm'])}")
+        if data.get("folder") is not None:
+            data["folder"] = os.path.realpath(file.resolve().parent / data["folder"])
+        for key, value in values.items():
+            part = nested_in(EvaluateSettings, key)
+            if part is not None:
+                read(value, part, key)
+        words = [f"{key}={spelled(value)}" for key, value in ({"data": data} | values).items()]
+    except (ConfigError, ValueRangeError) as error:
+        raise type(error)(f"{file}: {error}") from error
+    return words, arm

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import torch
 
 from apcc_torch.composition.identify import LearningSettings, of_the_arm
-from apcc_torch.errors import ConfigError
+from apcc_torch.errors import ConfigError, DataError
 from apcc_torch.evaluation.frames import Frames
 from apcc_torch.evaluation.leaderboard import Session
 from apcc_torch.evaluation.methods import METHODS
@@ -47,7 +47,10 @@ def recordings(settings: EvaluateSettings) -> tuple[list[Session], Frames | None
     sessions = []
     for name, each in data.sessions.items():
         series = of_the_arm(read_series(folder / each.file, settings.recording), settings.arm)
-        parts = [split(series.groups, settings.split, fold=fold) for fold in folds]
+        try:
+            parts = [split(series.groups, settings.split, fold=fold) for fold in folds]
+        except DataError as error:
+            raise DataError(f"{series.source}: {error}") from error
         sessions.append(Session(name, each.payload, Frames.of(series, fit.history, fit.slide_travel), parts))
     if data.rest is None:
         return sessions, None

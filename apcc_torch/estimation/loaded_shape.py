@@ -156,7 +156,10 @@ class LoadedShape(Part):
     def configuration(self, state: ShapeState) -> Tensor:
         """q_f (..., n_f) of the arm's pieces: rad, rad, m. None is shorter than a share of its rest length."""
         q = self._spread(self.strain(state)) + self._sag(state)
-        return torch.maximum(q, _lengthwise((SHORTEST - 1.0) * self.pieces(q)))
+        return self._longer_than(q, (SHORTEST - 1.0) * self.pieces(q))
+
+    def _longer_than(self, q: Tensor, least: Tensor) -> Tensor:
+        return torch.maximum(q, self.backbone.coordinates.with_elongations(torch.full_like(q, -torch.inf), least))
 
     def change(self, before: ShapeState, after: ShapeState) -> Tensor:
         """(..., n_f) by how much the arm's pieces have moved, rad and m."""
@@ -180,9 +183,8 @@ class LoadedShape(Part):
         solved = solve_spd(H, torch.stack((slope, last), dim=-1))
         step = solved[..., 0]
         step = scaled_within(step, LARGEST_STEP, of=step[..., :-1])
-        lowest = _lengthwise(SHORTEST * self._lengths(state.sections))
         moved = ShapeState(
-            torch.maximum(state.sections + step[..., :-1], lowest),
+            self._longer_than(state.sections + step[..., :-1], SHORTEST * self._lengths(state.sections)),
             (state.load + step[..., -1]).clamp(min=0.0),
             solved[..., -1, 1] / prior,
             sag,
@@ -222,9 +224,7 @@ class LoadedShape(Part):
     def _weighed(
         self, state: ShapeState, T: Tensor, usable: Tensor, oriented: Tensor, y: Tensor | None, dt: Tensor
     ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """Information (..., n + 1, n + 1) on strains and load, it times their change, the load's first variance, and
-        the state's `misfit`.
-        """
+        """Information (..., n + 1, n + 1), it times their change, the load's first variance, and the `misfit`."""
         r, J = self._residual(state, T, usable, oriented, y)
         prior = (aligned(self.load, 0) * self._mass(r)).square()
         walked = (state.variance + (aligned(self.load_rate, 0) / aligned(self.load, 0)) ** 2 * dt).clamp(max=1.0)
@@ -328,9 +328,3 @@ class LoadedShape(Part):
         ends = lengths.cumsum(-1)
         along = torch.gather(ends - lengths, -1, piece) + X_tilde * torch.gather(lengths, -1, piece)
         return along / ends[..., -1:]
-
-
-def _lengthwise(values: Tensor) -> Tensor:
-    """(..., 3 m) the lowest bends, which have no bound, and elongations or lengths (..., m) of as many arcs."""
-    free = torch.full_like(values, -torch.inf)
-    return torch.stack((free, free, values), dim=-1).flatten(-2)

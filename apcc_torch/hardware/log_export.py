@@ -10,12 +10,11 @@ from pathlib import Path
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import Tensor
 
 from apcc_torch.errors import ConfigError, DataError, in_a_line
 from apcc_torch.files import draft_of
 from apcc_torch.hardware.log_reader import RobotLog
-from apcc_torch.lie import so3
+from apcc_torch.lie.rotations import rotation_quaternion
 from apcc_torch.plain_text import for_spreadsheet, for_terminal
 from apcc_torch.recordings.recording import Recording, save_recording
 
@@ -148,7 +147,7 @@ def write_recording(log: RobotLog, path: Path | str) -> Path:
         tuple(f"body{k + 1}" for k in range(poses.shape[1])),
         torch.from_numpy(frames["time"].copy()),
         poses[..., :3, 3],
-        _quaternion(poses[..., :3, :3]),
+        rotation_quaternion(poses[..., :3, :3]),
         ok,
         -torch.from_numpy(tendons["sent"][at].copy()),
         -torch.from_numpy(tendons["y"][at].copy()),
@@ -156,10 +155,3 @@ def write_recording(log: RobotLog, path: Path | str) -> Path:
     )
     save_recording(recording, path)
     return Path(path)
-
-
-def _quaternion(rotation: Tensor) -> Tensor:
-    """(..., 4) x, y, z, w of rotations (..., 3, 3)."""
-    turn = so3.log(rotation)
-    half = 0.5 * turn.norm(dim=-1, keepdim=True)
-    return torch.cat((0.5 * torch.sinc(half / torch.pi) * turn, half.cos()), dim=-1)

@@ -7,6 +7,7 @@ import math
 import torch
 from torch import Tensor
 
+from apcc_torch.lie import so3
 from apcc_torch.modes import full_precision
 from apcc_torch.shapes import check_tensor
 
@@ -36,6 +37,21 @@ def quaternion_rotation(quaternion: Tensor) -> Tensor:
         *(2 * (x * z - w * y), 2 * (y * z + w * x), ww - xx - yy + zz),
     )
     return torch.stack(rows, dim=-1).unflatten(-1, (3, 3))
+
+
+def rotation_quaternion(rotation: Tensor) -> Tensor:
+    """The unit quaternion (x, y, z, w) (..., 4) of a rotation (..., 3, 3), w not negative; of half a turn, one of two.
+
+    Example:
+        >>> rotation_quaternion(quaternion_rotation(torch.tensor([0.0, 0.6, 0.0, -0.8])))
+        tensor([-0.0000, -0.6000, -0.0000,  0.8000])
+    """
+    check_tensor("rotation", rotation, (3, 3))
+    trace = rotation.diagonal(dim1=-2, dim2=-1).sum(-1, keepdim=True)
+    multiple = so3.quaternion_multiple(rotation, 2.0 * so3.vee(rotation), trace)
+    w, v = multiple.split_with_sizes((1, 3), dim=-1)
+    length = torch.linalg.vector_norm(multiple, dim=-1, keepdim=True)
+    return torch.cat((v, w), dim=-1) / torch.where(w < 0.0, -length, length)
 
 
 def rotation_angle(a: Tensor, b: Tensor) -> Tensor:

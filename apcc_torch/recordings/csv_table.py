@@ -17,6 +17,8 @@ from apcc_torch.files import read_text
 
 MOST_TABLE = 2**30
 """Largest recording that is read, bytes."""
+LARGEST = 1e15
+"""Largest number that a recording may hold: squared it is one still. Stamps are in seconds."""
 
 
 @dataclass(frozen=True)
@@ -48,16 +50,20 @@ class CsvTable:
     def finite(self, names: Sequence[str], wanted: Tensor | None = None) -> Tensor:
         """The named columns, where every cell that is `wanted` (T,) must hold a finite number."""
         values = self.take(names)
-        bad = ~values.isfinite() if wanted is None else ~values.isfinite() & wanted.unsqueeze(-1)
+        right = values.abs() <= LARGEST
+        bad = ~right if wanted is None else ~right & wanted.unsqueeze(-1)
         if bool(bad.any()):
             row, k = (int(i) for i in bad.nonzero()[0])
-            raise self.fault("the cell holds no finite number", names[k], row)
+            what = f"a number beyond {LARGEST:g}" if values[row, k].isfinite() else "no finite number"
+            raise self.fault(f"the cell holds {what}", names[k], row)
         return values
 
     def numbered(self, stem: str) -> list[str]:
-        """The columns stem1, stem2, ... up to the highest number there is."""
-        numbers = [int(c[len(stem) :]) for c in self.columns if c.startswith(stem) and c[len(stem) :].isdecimal()]
-        return [f"{stem}{i}" for i in range(1, max(numbers, default=0) + 1)]
+        """The columns stem1, stem2, ... up to the highest number there is, but no more than one that is missing."""
+        digits = [c[len(stem) :] for c in self.columns if c.startswith(stem) and c[len(stem) :].isdecimal()]
+        # Of a number too long to be read, or far above the others, the first column that is missing says enough.
+        most = max((int(d) if len(d) < 9 else 10**9 for d in digits), default=0)
+        return [f"{stem}{i}" for i in range(1, min(most, len(digits) + 1) + 1)]
 
     def optional(self, names: Sequence[str]) -> Tensor | None:
         """The named columns, or None where the file has none of them."""
@@ -88,9 +94,10 @@ def read_table(path: Path, words: Sequence[str] = ()) -> CsvTable:
             if not row:
                 continue
             if len(row) != len(header):
+                since = f" (from column {header[min(len(row), len(header) - 1)]!r} on)" if header else ""
                 raise DataError(
                     f"{path}, line {reader.line_num}: the line has {len(row)} cells where the header has "
-                    f"{len(header)} (from column {header[min(len(row), len(header) - 1)]!r} on)"
+                    f"{len(header)}{since}"
                 )
             for name in words:
                 if name not in header:
@@ -106,10 +113,11 @@ def read_table(path: Path, words: Sequence[str] = ()) -> CsvTable:
         raise DataError(f"{path}: is not a CSV text file ({error})") from error
     if not rows:
         raise DataError(f"{path}: holds no data lines")
-    for name in header:
-        if header.count(name) > 1:
+    columns: dict[str, int] = {}
+    for i, name in enumerate(header):
+        if name in columns:
             raise DataError(f"{path}, column {name!r}: the column is there more than once")
-    columns = {name: i for i, name in enumerate(header)}
+        columns[name] = i
     return CsvTable(path, columns, lines, torch.tensor(rows, dtype=torch.float64), texts)
 
 
