@@ -14,7 +14,7 @@ from torch import Tensor
 from torch.func import hessian, jacfwd, jacrev, vmap
 
 from apcc_torch.errors import ShapeError
-from apcc_torch.lie import so3
+from apcc_torch.lie import quaternion_rotation, rotation_quaternion, so3
 from laws import (
     FLOATS,
     check_bad_row,
