@@ -17,7 +17,7 @@ from omegaconf import OmegaConf
 from page import between
 
 from apcc_torch.files import write_atomically
-from apcc_torch.paper.law_rows import law_rows
+from apcc_torch.paper.law_rows import LOST, all_lost, law_rows
 from apcc_torch.paper.printed_numbers import TITLES
 from apcc_torch.report.text_table import as_markdown
 
@@ -35,9 +35,17 @@ def short(table: Mapping[str, Cells], about: Mapping[str, str]) -> str:
     runs = [run for run in TITLES if run + HELD_OUT in table]
     lines = [["shape error mm / Psi cm / tip mm", *(TITLES[run].partition(":")[0] for run in runs)]]
     for row, meaning in about.items():
-        cells = [[table[run + HELD_OUT][metric][row] for metric in SHORT] for run in runs]
-        lines.append([meaning, *(" / ".join("-" if v is None else f"{v:.2f}" for v in values) for values in cells)])
+        lines.append([meaning, *(cell(table[run + HELD_OUT], row) for run in runs)])
     return as_markdown(lines)
+
+
+def cell(cells: Cells, row: str) -> str:
+    """A law's numbers in one run, and how many of its runs diverged; where all did there are no numbers."""
+    if all_lost(cells, row):
+        return "all diverge"
+    told = " / ".join("-" if v is None else f"{v:.2f}" for v in (cells[metric][row] for metric in SHORT))
+    lost = cells[LOST][row]
+    return f"{told}, {lost:.0f} of {cells['rows'][row]:.0f} diverge" if lost else told
 
 
 def whole(table: Mapping[str, Cells], found: Mapping[str, Any], about: Mapping[str, str]) -> str:

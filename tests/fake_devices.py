@@ -179,12 +179,15 @@ class FakeStep:
         self.faults = faults
         self.request = request
         self.calls = 0
+        self.tendons: list[np.ndarray] = []
 
     def __call__(
         self, state: ControllerState, measurement: Measurement, target: Target
     ) -> tuple[ControllerState, Command]:
         now = self.clock.now()
         self.calls += 1
+        assert measurement.tendons is not None
+        self.tendons.append(measurement.tendons.numpy().copy())
         y = torch.full((N_TENDONS,), -0.01, dtype=torch.float64)
         e = torch.full((3,), 0.1, dtype=torch.float64)
         if self.faults.at("wild", now):

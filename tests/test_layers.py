@@ -27,7 +27,7 @@ LAYERS: tuple[tuple[str, ...], ...] = (
     ("conf_path", "files", "modes", "processes", "spread"),
     ("annotations",),
     ("settings", "shapes"),
-    ("part",),
+    ("part", "web_address"),
     ("classes",),
     ("reading",),
     ("native",),
@@ -44,11 +44,12 @@ LAYERS: tuple[tuple[str, ...], ...] = (
     ("envs", "hardware"),
     ("composition",),
     ("report",),
+    ("viewing",),
     ("experiments",),
     ("paper",),
     ("sweeps",),
-    ("composed", "new_arm", "simulate"),
-    ("benchmark", "evaluate", "identify", "report.__main__", "robot", "robot_log"),
+    ("composed", "new_arm", "robot_log", "simulate"),
+    ("benchmark", "evaluate", "identify", "report.__main__", "robot", "view"),
 )
 
 # What a unit does without, though it lies below: real devices know no simulation, and get the simulated arm's plant.
@@ -62,6 +63,7 @@ RESTRICTED: dict[str, frozenset[str]] = {
     "stable_baselines3": frozenset({"envs"}),
     "sklearn": frozenset({"evaluation"}),
     "pooch": frozenset({"recordings"}),
+    "viser": frozenset({"viewing"}),
 }
 
 LEVEL = {unit: level for level, units in enumerate(LAYERS) for unit in units}

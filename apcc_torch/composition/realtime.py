@@ -19,8 +19,11 @@ from apcc_torch.hardware.simulated.actuator import SimulatedActuatorSettings
 from apcc_torch.hardware.simulated.sensor import SimulatedSensorSettings
 from apcc_torch.native.compiled import MODES
 from apcc_torch.reading import keyed
-from apcc_torch.settings import OURS, PAPER, Settings, names, setting
+from apcc_torch.settings import OURS, PAPER, Settings, check_choice, names, setting
+from apcc_torch.web_address import WebAddress
 
+BROWSER = "browser"
+"""What `view` is for a page."""
 SIMULATED = (SimulatedActuatorSettings, SimulatedSensorSettings)
 
 
@@ -74,12 +77,17 @@ class RealtimeSettings(RunSettings):
     ramp: RampSettings = setting(factory=RampSettings, meaning="of an experiment of kind tendons")
     series: SeriesSettings = setting(factory=SeriesSettings, meaning="several runs, each in a folder of its own")
     dry_run: bool = setting(False, meaning="everything but torque; the log says what would be sent")
-    view: bool = setting(True, meaning="the live view, where there is a terminal")
+    view: bool | str = setting(
+        True, meaning="the run, live: true, in the terminal, where there is one; browser, on a page; false, nowhere"
+    )
+    page: WebAddress = setting(factory=WebAddress, meaning="where view=browser is served")
     log: bool = setting(True, meaning="write log.mcap")
 
     def check(self) -> None:
         """Raises where the clamps of the commands are no ranges of the arm's tendons."""
         super().check()
+        if isinstance(self.view, str):
+            check_choice("view", self.view, (BROWSER, "true", "false"))
         with keyed("guards.limits"):
             CommandLimits(self.arm.n_tendons, self.guards.limits)
 
@@ -102,6 +110,8 @@ def of_a_realtime_run(c: RealtimeSettings) -> Unread:
         yield "calibration", "calibration.file names none"
     if not any(isinstance(device, SIMULATED) for device in (c.hardware.actuator, c.hardware.sensor)):
         yield "plant sensors", "the arm is a real one"
+    if c.view != BROWSER:
+        yield "page", "view is not browser"
     if not c.series.runs and not c.series.sampled:
         yield "series", "there are no series.runs"
     if c.series.sampled:
@@ -117,7 +127,7 @@ def _of_a_calibration(c: RealtimeSettings) -> Unread:
     yield f"{groups} {_below('experiment', targets)}", "a calibration runs no controller"
     loop = [name for name in names(LoopSettings) if name != "rate"]
     guards = [name for name in names(GuardSettings) if name not in ("limits", "effort_cap")]
-    yield f"view log {_below('loop', loop)} {_below('guards', guards)}", "a calibration runs no loop"
+    yield f"view page log {_below('loop', loop)} {_below('guards', guards)}", "a calibration runs no loop"
     if not c.calibration.check_signs:
         pulled = "loop.rate guards.limits guards.effort_cap calibration.pull"
         yield pulled, "calibration.check_signs is false, and no tendon is pulled"

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import gymnasium
 
-RENDERER = "apcc_torch.report.arm_scene:ArmScene"
-"""What draws; a name, because environments do not import what has matplotlib."""
+RENDERERS = {
+    "rgb_array": "apcc_torch.report.arm_scene:ArmScene",
+    "human": "apcc_torch.viewing.env_window:EnvWindow",
+}
+"""What draws in each render mode; names, because environments do not import what has matplotlib or viser."""
 
 EPISODES = {"Reach": 300, "Track": 400, "Shape": 300}
 """Longest episode of each task, steps."""
@@ -27,5 +30,5 @@ def register_environments() -> None:
             entry_point=f"{module}:{task}Env",
             vector_entry_point=f"{module}:{task}VectorEnv",
             max_episode_steps=steps,
-            kwargs={"renderer": RENDERER},
+            kwargs={"renderers": RENDERERS},
         )

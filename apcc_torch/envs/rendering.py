@@ -1,4 +1,4 @@
-"""What a picture of an arm holds, and what draws it; the drawing itself is `report.arm_scene`'s, which has matplotlib.
+"""What a picture of an arm holds, and what draws it: `report.arm_scene`, with matplotlib, or `viewing.env_window`.
 
 Environments and reports do not import each other: the registration names the drawing as it names the environments, by
 a string, and it is loaded when the first picture is asked for.
@@ -6,6 +6,7 @@ a string, and it is loaded when the first picture is asked for.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any, NamedTuple, Protocol
 
 import torch
@@ -27,6 +28,7 @@ class Picture(NamedTuple):
 
     backbone: (P, 3). tendons: (n_a, P, 3), NaN beyond where each ends. sensors: (k, 3).
     goal: (3,) a point, or (G, 3) a backbone. text: A line over the picture.
+    ends: (n,) where the sections end, over the arm's length.
     """
 
     backbone: Tensor
@@ -34,6 +36,7 @@ class Picture(NamedTuple):
     sensors: Tensor
     goal: Tensor
     text: str
+    ends: Tensor
 
 
 class Renderer(Protocol):
@@ -43,29 +46,33 @@ class Renderer(Protocol):
         """(H, W, 3) uint8."""
         ...
 
-    def show(self, picture: Picture) -> None:
-        """Puts the picture into a window."""
+
+class Window(Protocol):
+    """Shows pictures to a person; made likewise."""
+
+    def show(self, picture: Picture, period: float) -> None:
+        """Shows a picture, as soon as `period` s have passed since the last one."""
         ...
 
     def close(self) -> None:
-        """Closes the window."""
+        """Shows nothing any more."""
         ...
 
 
-def load_renderer(name: str | None, arm: Arm) -> Renderer:
-    """The renderer that "module:class" names, with room for the arm.
+def load_renderer(names: Mapping[str, str], mode: str, arm: Arm) -> Any:
+    """The `Renderer` or `Window` that "module:class" names for a render mode, with room for the arm.
 
     Raises:
         ConfigError: None is named, or what draws is not installed.
     """
-    if name is None:
-        raise ConfigError('render_mode needs a renderer, e.g. "apcc_torch.report.arm_scene:ArmScene"')
+    if mode not in names:
+        raise ConfigError(f'render_mode={mode!r} needs one of renderers, as {{"{mode}": "package.module:Class"}}')
     length = float(arm.rest_lengths().sum())
     try:
-        renderer: Renderer = load_env_creator(name)(length=length, upward=bool(arm.base_rotation()[2, 2] > 0))  # type: ignore[assignment]
+        made: Any = load_env_creator(names[mode])
+        return made(length=length, upward=bool(arm.base_rotation()[2, 2] > 0))
     except ModuleNotFoundError as error:
         raise ConfigError(f"rendering needs {error.name}: pip install 'apcc-torch[viz]'") from error
-    return renderer
 
 
 def picture(
@@ -85,8 +92,4 @@ def picture(
     backbone = PCCBackbone(lengths.shape[-1], base)
     X = torch.linspace(0.0, 1.0, POINTS, dtype=q.dtype, device=q.device) * lengths.sum()
     T = backbone.pose(q, lengths, *decouple(X, lengths))
-    angle, offset = routing.angles.unsqueeze(-1), routing.offsets.unsqueeze(-1)
-    aside = torch.stack((offset * torch.cos(angle), offset * torch.sin(angle), torch.zeros_like(angle)), dim=-1)
-    tendons = T[:, :3, 3] + (T[:, :3, :3] @ aside.unsqueeze(-1)).squeeze(-1)
-    tendons = torch.where((routing.anchors.unsqueeze(-1) + 1e-6 >= X).unsqueeze(-1), tendons, torch.nan)
-    return Picture(T[:, :3, 3], tendons, sensors, goal, text)
+    return Picture(T[:, :3, 3], routing.paths(T, X), sensors, goal, text, lengths.cumsum(-1) / lengths.sum())

@@ -24,7 +24,7 @@ class ArmEnv(gymnasium.Env[Observation, Observation]):
     """One row of an `ArmVectorEnv`; the time limit is that of Gymnasium's wrapper, and `truncated_reason` tells it too.
 
     Args:
-        render_mode: "rgb_array", "human" for a window, or None.
+        render_mode: "rgb_array", "human" for a page in the browser, or None.
         **settings: Those of `ArmVectorEnv`, but num_envs, autoreset_mode and render_mode.
     """
 
@@ -67,17 +67,17 @@ class ArmEnv(gymnasium.Env[Observation, Observation]):
         return plain
 
     def render(self) -> NDArray[Any] | None:
-        """The picture (H, W, 3) uint8; None where it goes into the window, or without a render mode."""
+        """The picture (H, W, 3) uint8; None where it is shown on a page, or without a render mode."""
         if self.render_mode is None:
             return None
         picture = self.batch.picture(0)
         if self.render_mode == "human":
-            self.batch.drawing().show(picture)
+            self.batch.window().show(picture, self.batch.simulator.period)
             return None
         return self.batch.drawing().frame(picture)
 
     def close(self) -> None:
-        """Closes the window, if there is one."""
+        """Closes the page, if there is one."""
         self.batch.close()
 
 

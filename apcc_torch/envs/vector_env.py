@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -14,7 +15,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from apcc_torch.annotations import check_type, shown
-from apcc_torch.envs.rendering import Picture, Renderer, load_renderer
+from apcc_torch.envs.rendering import Picture, Renderer, Window, load_renderer
 from apcc_torch.envs.row_trees import replaced, select, taken
 from apcc_torch.envs.simulator import EnvState, Outcome, Simulator, SimulatorSettings, View
 from apcc_torch.envs.streams import streams
@@ -49,7 +50,7 @@ class ArmVectorEnv(VectorEnv[Tensor, Tensor, Tensor]):
         autoreset_mode: What happens to a row that is done: reset in the next step, in the same step, or not.
         render_mode: "rgb_array", or None for none.
         render_rows: How many rows `render` draws, the first ones.
-        renderer: What draws, "module:class".
+        renderers: What draws in each render mode, "module:class".
         compile: Whether the step is compiled by torch, which takes a minute or two at the first step.
         **settings: What the arms do and what is drawn for them, see the task's `settings_type`.
 
@@ -76,7 +77,7 @@ class ArmVectorEnv(VectorEnv[Tensor, Tensor, Tensor]):
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         render_mode: str | None = None,
         render_rows: int = 4,
-        renderer: str | None = None,
+        renderers: Mapping[str, str] | None = None,
         compile: bool = False,
         **settings: Any,
     ) -> None:
@@ -90,7 +91,7 @@ class ArmVectorEnv(VectorEnv[Tensor, Tensor, Tensor]):
         s = resolved(self.settings_type, (), {"max_episode_steps": limit, **settings})
         arm = _one_arm(arm)
         self.num_envs = num_envs
-        self.render_mode, self.render_rows, self.renderer = render_mode, render_rows, renderer
+        self.render_mode, self.render_rows, self.renderers = render_mode, render_rows, renderers or {}
         self.device = torch.device(device)
         like = torch.empty(0, dtype=_dtype(dtype), device=self.device)
         self.simulator = Simulator(self.task(arm, like, s), arm, like, s)
@@ -106,6 +107,7 @@ class ArmVectorEnv(VectorEnv[Tensor, Tensor, Tensor]):
         self._view: View | None = None
         self._done = torch.zeros(num_envs, dtype=torch.bool, device=self.device)
         self._renderer: Renderer | None = None
+        self._window: Window | None = None
 
     @torch.no_grad()
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Tensor, dict[str, Any]]:
@@ -178,10 +180,16 @@ class ArmVectorEnv(VectorEnv[Tensor, Tensor, Tensor]):
         return tuple(self.drawing().frame(self.picture(row)) for row in range(min(self.num_envs, self.render_rows)))
 
     def drawing(self) -> Renderer:
-        """What draws, loaded when it is first needed."""
+        """What draws pictures, loaded when it is first needed."""
         if self._renderer is None:
-            self._renderer = load_renderer(self.renderer, self.simulator.description)
+            self._renderer = load_renderer(self.renderers, "rgb_array", self.simulator.description)
         return self._renderer
+
+    def window(self) -> Window:
+        """What shows one row to a person, loaded likewise."""
+        if self._window is None:
+            self._window = load_renderer(self.renderers, "human", self.simulator.description)
+        return self._window
 
     def picture(self, row: int) -> Picture:
         """What a renderer draws of a row.
@@ -195,8 +203,8 @@ class ArmVectorEnv(VectorEnv[Tensor, Tensor, Tensor]):
 
     def close_extras(self, **kwargs: Any) -> None:
         """Closes the window, if there is one."""
-        if self._renderer is not None:
-            self._renderer.close()
+        if self._window is not None:
+            self._window.close()
 
     def _renew(self, rows: Tensor) -> None:
         """New episodes for the rows (N,) bool, the others untouched."""

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from apcc_torch.composition.build_realtime import RealtimeBuilder
 from apcc_torch.composition.calibrated import calibrated, load_calibration
-from apcc_torch.composition.realtime import RealtimeSettings
+from apcc_torch.composition.realtime import BROWSER, RealtimeSettings
 from apcc_torch.composition.schema import from_text, text
 from apcc_torch.control.controller import APCCController
 from apcc_torch.errors import DataError
@@ -35,11 +35,14 @@ from apcc_torch.hardware.setup import Setup
 from apcc_torch.hardware.stop_request import StopRequest
 from apcc_torch.hardware.stops import StopReason
 from apcc_torch.hardware.summary import Summary
-from apcc_torch.hardware.view import LiveView
+from apcc_torch.hardware.view import LiveView as TerminalView
 from apcc_torch.plain_text import plain_logger
 from apcc_torch.simulation.divergence import sentence
 from apcc_torch.simulation.kinematic import KinematicLog
 from apcc_torch.simulation.metrics import backbone_error
+from apcc_torch.viewing.drawn_size import DrawnSize
+from apcc_torch.viewing.live_view import LiveView, Watched
+from apcc_torch.viewing.outline import Outline
 
 log = plain_logger(__name__)
 
@@ -81,8 +84,10 @@ def run(settings: RealtimeSettings, folder: Path) -> tuple[Outcome, dict[str, fl
         if settings.log:
             log_file = stack.enter_context(_log(build, devices, attached, folder))
             observers.append(log_file)
-        if settings.view and sys.stdout.isatty():
-            observers.append(stack.enter_context(LiveView(sys.stdout)))
+        if settings.view == BROWSER:
+            observers.append(stack.enter_context(LiveView(_watched(build), settings.page)))
+        elif settings.view is True and sys.stdout.isatty():
+            observers.append(stack.enter_context(TerminalView(sys.stdout)))
         stack.enter_context(realtime(settings.loop.priority, settings.loop.lock_memory))
         outcome = Runner(setup).run()
     failure = None if log_file is None else log_file.failure()
@@ -126,6 +131,13 @@ def _setup(
     if calibration is None:
         return setup
     return replace(setup, checks=calibration_checks(calibration, setup, build.settings.calibration))
+
+
+def _watched(build: RealtimeBuilder) -> Watched:
+    """What a page shows of the arm."""
+    model, sensors = build.model, build.model.sensors_at().shape[-1]
+    outline = Outline(model.backbone(), model.n_sections, model.routing())
+    return Watched(build.settings.experiment.name, DrawnSize.of(model.arm), outline, sensors)
 
 
 def _stacked(name: str, decisions: list[Decision]) -> Tensor:

@@ -30,7 +30,7 @@ def arm(setup: Setup, journal: Journal) -> Array:
     reading = setup.actuator.read()
     if not limits.inside(reading.y, loop.arm_margin):
         raise SafetyError(f"the tendons are at {reading.y} m, outside their range {limits.lower} to {limits.upper}")
-    took = setup.control.warm_up(complete_frame(setup), loop.warm_up, loop.period, setup.clock.now)
+    took = setup.control.warm_up(complete_frame(setup), reading.y, loop.warm_up, loop.period, setup.clock.now)
     journal.event("warm_up", f"first controller step {1e3 * took[0]:.1f} ms, last {1e3 * took[-1]:.2f} ms")
     if setup.prepared is not None:
         setup.prepared()

@@ -24,14 +24,19 @@ def blank_step(controller: APCCController, pi_hat: Tensor) -> tuple[ControllerSt
     """Arguments of the form that every step of a loop has: what a compiler needs to see.
 
     Args:
-        controller: The controller.
+        controller: With a routing.
         pi_hat: (n_b,) m.
     """
+    assert controller.routing is not None
     q, zero = torch.zeros(controller.backbone.n, dtype=pi_hat.dtype), torch.zeros(3, dtype=pi_hat.dtype)
     time = torch.zeros((), dtype=torch.float64)
     k = controller.feedback.abscissae.shape[-1]
     every = torch.ones(k, dtype=torch.bool)
-    measurement = Measurement(torch.eye(4, dtype=pi_hat.dtype).expand(k, 4, 4), time, every, every)
+    T, y = (
+        torch.eye(4, dtype=pi_hat.dtype).expand(k, 4, 4),
+        torch.zeros(controller.routing.n_tendons, dtype=pi_hat.dtype),
+    )
+    measurement = Measurement(T, time, every, every, tendons=y)
     return controller.initial_state(q, pi_hat, time), measurement, Target(zero, zero)
 
 
@@ -96,21 +101,25 @@ class Control:
     def _initial(self, q: Tensor, pi_hat: Tensor, time: float) -> ControllerState:
         return self.controller.initial_state(q, pi_hat, torch.tensor(time, dtype=torch.float64))
 
-    def _measurement(self, frame: GatedFrame, time: float) -> Measurement:
+    def _measurement(self, frame: GatedFrame, lengths: Array, time: float) -> Measurement:
         return Measurement(
             torch.from_numpy(frame.T).to(self.pi_hat.dtype),
             torch.tensor(time, dtype=torch.float64),
             torch.from_numpy(frame.position_ok),
             torch.from_numpy(frame.orientation_ok),
+            tendons=torch.from_numpy(lengths).to(self.pi_hat.dtype),
         )
 
-    def warm_up(self, frame: GatedFrame, steps: int, period: float, now: Callable[[], float]) -> list[float]:
+    def warm_up(
+        self, frame: GatedFrame, lengths: Array, steps: int, period: float, now: Callable[[], float]
+    ) -> list[float]:
         """Steps on one frame with the end effector as its own target: nothing is asked of the arm.
 
         It also brings q_bar from the straight arm to the measured one.
 
         Args:
             frame: A complete frame.
+            lengths: (n_a,) measured length changes of the tendons, m.
             steps: How many.
             period: Time that the stamps pretend to pass between two steps, s.
             now: The clock.
@@ -122,7 +131,7 @@ class Control:
         took = []
         for k in range(steps):
             began = now()
-            measurement = self._measurement(frame, (k + 1) * period)
+            measurement = self._measurement(frame, lengths, (k + 1) * period)
             target = Target(measurement.T[-1, :3, 3], still)
             self.state, _ = self.step(self.state, measurement, target)
             took.append(now() - began)
@@ -145,18 +154,19 @@ class Control:
         q, pi_hat = (torch.from_numpy(v).to(self.pi_hat.dtype) for v in (start.q, start.pi_hat))
         self.state = self._initial(q, pi_hat, start.time)
 
-    def decide(self, frame: GatedFrame, time: float, target: Target | None = None) -> Decision:
+    def decide(self, frame: GatedFrame, lengths: Array, time: float, target: Target | None = None) -> Decision:
         """One step.
 
         Args:
             frame: A usable frame.
-            time: Its stamp, s since the start.
+            lengths: (n_a,) measured length changes of the tendons, m.
+            time: The frame's stamp, s since the start.
             target: Where to go; None for the trajectory's.
 
         Raises:
             ApccError: The controller refuses its input.
         """
-        measurement = self._measurement(frame, time)
+        measurement = self._measurement(frame, lengths, time)
         if target is None:
             target = self.trajectory(measurement.time.to(self.pi_hat.dtype))
         self.state, command = self.step(self.state, measurement, target)

@@ -50,15 +50,16 @@ def replay(log: RobotLog, control: Control) -> Replayed:
     targets = {int(row["tick"]): row for row in log.rows(wanted.target, "tick", "x_d", "xdot_d")}
     measured = log.rows(wanted.measurement, *(field.name for field in wanted.measurement.fields))
     frames = {int(row["tick"]): row for row in measured if row["usable"]}
+    lengths = {int(row["tick"]): row["y"].copy() for row in log.rows(wanted.tendons, "tick", "y")}
     replayed = []
     with torch.inference_mode():
         for step in steps:
             tick = int(step["tick"])
-            if tick not in frames or tick not in targets:
+            if tick not in frames or tick not in targets or tick not in lengths:
                 raise DataError(f"the log lacks what the control step of turn {tick} was given")
             frame, target = _frame(frames[tick]), targets[tick]
             x_d, xdot_d = (torch.from_numpy(target[name].copy()).to(control.pi_hat.dtype) for name in ("x_d", "xdot_d"))
-            replayed.append(control.decide(frame, float(step["time"]), Target(x_d, xdot_d)).y)
+            replayed.append(control.decide(frame, lengths[tick], float(step["time"]), Target(x_d, xdot_d)).y)
     count = len(replayed)
     return Replayed(steps["time"][:count], steps["y"][:count], np.array(replayed))
 

@@ -33,6 +33,7 @@ class Loop:
         self.journal = journal
         self.guards = guards
         self.requested = self.sent = sent
+        self.lengths: Array | None = None  # as last measured, m
         # What the motors may have been told last, and when, s. After a command that failed nobody knows: it may have
         # come through all the same.
         self.standing = [(sent, setup.clock.now())]
@@ -111,6 +112,7 @@ class Loop:
             halt_if(self.guards.on_failed_read(error))
         tick.read = clock.now() - began
         if tick.reading is not None:
+            self.lengths = tick.reading.y
             halt_if(self.guards.on_reading(tick.reading, clock.now()))
 
     def _sense(self, tick: Tick) -> None:
@@ -126,10 +128,11 @@ class Loop:
     def _decide(self, tick: Tick) -> None:
         """Steps the controller where there is a new frame to step on; elsewhere its last wish stands.
 
+        Where the tendons could not be read in this turn, their last lengths serve.
         A frame is judged by its age once more before the step and after it: the program may have been held up since.
         """
         frame = tick.frame
-        if frame is None or not frame.usable:
+        if frame is None or not frame.usable or self.lengths is None:
             return
         clock = self.setup.clock
         began = clock.now()
@@ -137,7 +140,7 @@ class Loop:
             tick.frame = replace(frame, age=began - frame.stamp, usable=False)
             return
         try:
-            tick.decision = self.setup.control.decide(frame, frame.stamp - self.started_at)
+            tick.decision = self.setup.control.decide(frame, self.lengths, frame.stamp - self.started_at)
         except ApccError as error:
             raise Halt(Stop(StopReason.CONTROLLER_ERROR, str(error))) from error
         tick.control = clock.now() - began

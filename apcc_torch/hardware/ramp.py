@@ -71,9 +71,9 @@ class RampControl(Control):
         super().__init__(controller, SetPoint(torch.zeros(3, dtype=pi_hat.dtype)), pi_hat, step)
         self.ramp = ramp
 
-    def decide(self, frame: GatedFrame, time: float, target: Target | None = None) -> Decision:
+    def decide(self, frame: GatedFrame, lengths: Array, time: float, target: Target | None = None) -> Decision:
         """One step: the ramp's lengths, and what the controller infers."""
         if target is None:
             tip = torch.tensor(frame.T[-1, :3, 3], dtype=self.pi_hat.dtype)
             target = Target(tip, torch.zeros_like(tip))
-        return replace(super().decide(frame, time, target), y=self.ramp.at(time))
+        return replace(super().decide(frame, lengths, time, target), y=self.ramp.at(time))

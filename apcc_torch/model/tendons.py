@@ -126,6 +126,20 @@ class TendonRouting(Part):
         check_same(u=u, pi_hat=pi_hat)
         return (self.matrix(pi_hat) @ u.unsqueeze(-1)).squeeze(-1)
 
+    def paths(self, T: Tensor, X: Tensor) -> Tensor:
+        """Where the tendons run beside points of the backbone (n_a, P, 3), m, NaN where one does not run.
+
+        Args:
+            T: (P, 4, 4) poses of material points, m.
+            X: (P,) their abscissae, m.
+        """
+        angle, offset = self.angles.to(T).unsqueeze(-1), self.offsets.to(T).unsqueeze(-1)
+        aside = torch.stack((offset * torch.cos(angle), offset * torch.sin(angle), torch.zeros_like(angle)), dim=-1)
+        paths = T[:, :3, 3] + (T[:, :3, :3] @ aside.unsqueeze(-1)).squeeze(-1)
+        begin, end = (place.to(X).unsqueeze(-1) for place in (self.starts, self.anchors))
+        runs = (begin - 1e-6 <= X) & (end + 1e-6 >= X)
+        return torch.where(runs.unsqueeze(-1), paths, torch.nan)
+
 
 def full_rows(angles: Tensor, offsets: Tensor) -> Tensor:
     """Rows (..., 3, n_a) of B that a fully traversed section has on (dx, dy, dL), Eqs. (42)-(45) [Dalenberg].

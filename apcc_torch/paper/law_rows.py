@@ -19,8 +19,17 @@ IN_UNITS = {"mapping_error_mean_mm": 0.1}
 """Metric -> what it is multiplied by for its column."""
 
 
+LOST = "diverged_rows"
+"""Metric that says of how many runs nothing else does."""
+
+
+def all_lost(cells: Mapping[str, Mapping[str, float | None]], row: str) -> bool:
+    """Whether every run of a law diverged: its other numbers tell when that was, and change with the last digit."""
+    return cells[LOST][row] == cells["rows"][row]
+
+
 def law_rows(cells: Mapping[str, Mapping[str, float | None]], about: Mapping[str, str]) -> list[list[str]]:
-    """A line of titles, and a line a law.
+    """A line of titles, and a line a law, without numbers where all its runs diverged.
 
     Args:
         cells: Metric -> row -> value, as table.json has them.
@@ -31,6 +40,8 @@ def law_rows(cells: Mapping[str, Mapping[str, float | None]], about: Mapping[str
         line = [meaning]
         for metric, (_, form) in COLUMNS.items():
             value = cells[metric][row]
+            if metric != LOST and all_lost(cells, row):
+                value = None
             line.append("-" if value is None else form.format(IN_UNITS.get(metric, 1.0) * value))
         lines.append(line)
     return lines

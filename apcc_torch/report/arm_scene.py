@@ -1,13 +1,11 @@
-"""An environment's arm as a picture or in a window: backbone, tendons, sensors and goal."""
+"""An environment's arm as a picture: backbone, tendons, sensors and goal."""
 
 from __future__ import annotations
 
 from typing import Any, Protocol
 
 import numpy as np
-from matplotlib import pyplot
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.backends.registry import BackendFilter, backend_registry
 from numpy.typing import NDArray
 from torch import Tensor
 
@@ -48,7 +46,6 @@ class ArmScene:
             draw_base(self.space)
             self.title = self.figure.text(0.03, 0.955, "", fontsize=11, color=style.INK)
         self.moving: list[Any] = []
-        self.window: Any = None
 
     def frame(self, arm: Arm) -> NDArray[Any]:
         """The picture, (H, W, 3) uint8."""
@@ -75,27 +72,3 @@ class ArmScene:
         self.title.set_text(arm.text)
         self.canvas.draw()
         return np.asarray(self.canvas.buffer_rgba())[..., :3].copy()
-
-    def show(self, arm: Arm) -> None:
-        """Puts the picture into a window of its own, if matplotlib has a backend with windows."""
-        frame = self.frame(arm)
-        if self.window is None:
-            size = (frame.shape[1] / PIXELS_PER_INCH, frame.shape[0] / PIXELS_PER_INCH)
-            self.window = pyplot.figure(figsize=size, dpi=PIXELS_PER_INCH)
-            self.image = self.window.figimage(frame)
-            if pyplot.get_backend().lower() in {name.lower() for name in _interactive()}:
-                self.window.show()
-        self.image.set_data(frame)
-        self.window.canvas.draw_idle()
-        self.window.canvas.flush_events()
-
-    def close(self) -> None:
-        """Closes the window, if there is one."""
-        if self.window is not None:
-            pyplot.close(self.window)
-            self.window = None
-
-
-def _interactive() -> list[str]:
-    """Names of matplotlib's backends that have windows."""
-    return list(backend_registry.list_builtin(BackendFilter.INTERACTIVE))

@@ -96,6 +96,7 @@ def test_what_is_refused_changes_nothing() -> None:
         (("ramp.duration=3",), "experiment.kind is not tendons"),
         (("calibration.lengths=false",), "calibration.file names none"),
         (("series.figures=false",), "there are no series.runs"),
+        (("page.port=81",), "view is not browser"),
         (("adaptation.normalisation=3", "controller.adaptive=false"), "controller.adaptive is false"),
     ],
 )

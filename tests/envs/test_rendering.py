@@ -51,13 +51,13 @@ def test_tendons_run_beside_the_backbone_up_to_their_racks() -> None:
     torch.testing.assert_close(picture.sensors.flatten().float(), view.observation[1, :9])
 
 
-def test_every_render_mode_passes_gymnasiums_checker(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("MPLBACKEND", "agg")
+def test_every_render_mode_passes_gymnasiums_checker() -> None:
+    pytest.importorskip("viser", reason="viser is not installed")
     check_env(gymnasium.make("apcc/Reach-v0").unwrapped)
 
 
 def test_what_cannot_be_drawn_is_said() -> None:
-    envs = make(render_mode="rgb_array", renderer=None)
+    envs = make(render_mode="rgb_array", renderers=None)
     envs.reset(seed=0)
-    with pytest.raises(ConfigError, match="render_mode needs a renderer"):
+    with pytest.raises(ConfigError, match="render_mode='rgb_array' needs one of renderers"):
         envs.render()

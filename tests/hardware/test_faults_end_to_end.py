@@ -180,6 +180,11 @@ def logged(folder: Path, state: str) -> bool:
     return state in [event["state"] for event in read_log(path).events]
 
 
+def ticks_on_disk(folder: Path) -> int:
+    """How many turns of the loop such a log has."""
+    return len(read_log(folder / "log.mcap").topic("/timing"))
+
+
 def test_a_disk_that_fills_up(scene: Scene) -> None:
     fault = full_disk()
     with program(scene.platform, scene.calibration, SLOW, f"loop.hold={HOLD}") as run:
@@ -213,7 +218,7 @@ def test_a_process_that_is_stopped_and_goes_on(scene: Scene) -> None:
 def test_kill_9(scene: Scene) -> None:
     """Nobody is left to stop the motors: they do it themselves, and hold; the log is whole up to its last second."""
     with program(scene.platform, scene.calibration, SLOW) as run:
-        until(lambda: logged(scene.folder, "running") and moving(scene.platform))
+        until(lambda: logged(scene.folder, "running") and ticks_on_disk(scene.folder) > 1 and moving(scene.platform))
         run.kill()
         run.wait(timeout=DEADLINE)
     until(lambda: all(motor["tripped"] for motor in scene.platform.servos.report().values()))

@@ -38,6 +38,6 @@ def test_the_lengths_are_the_ramps_and_the_controller_asks_for_nothing() -> None
     with torch.inference_mode():
         for k in range(5):
             frame = GatedFrame(0.01 * k, k, 0.0, rest(), yes, yes, 0 * yes, 0 * yes, True)
-            decision = control.decide(frame, 0.5 * (k + 1))
+            decision = control.decide(frame, control.ramp.at(0.5 * k), 0.5 * (k + 1))
             assert np.allclose(decision.y, GOAL * 0.05 * (k + 1))
             assert np.abs(decision.e).max() == 0.0 and np.abs(decision.q_bar).max() < 1e-3

@@ -152,6 +152,18 @@ def test_frames_that_lack_a_body_can_be_stepped_on() -> None:
     assert all(t.frame is not None and t.frame.position_ok.tolist() == [True, False, True] for t in partial)
 
 
+def test_the_controller_sees_the_tendons_as_they_were_last_measured() -> None:
+    run = fake_run([Fault("read_fails", 0.5, 0.539)])
+    last, wanted = None, []
+    for tick in run.witness.ticks:
+        last = last if tick.reading is None else tick.reading.y
+        if tick.decision is not None:
+            wanted.append(last)
+    assert any(tick.reading is None for tick in run.witness.ticks)
+    assert len(wanted) > 50 and np.ptp(wanted) > 1e-3, "they moved"
+    np.testing.assert_array_equal(run.step.tendons[-len(wanted) :], wanted)
+
+
 def test_few_failed_exchanges_are_survived() -> None:
     run = fake_run([Fault("read_fails", 0.5, 0.539), Fault("send_fails", 0.7, 0.739)])
     assert run.outcome.reason is R.DURATION

@@ -44,13 +44,3 @@ def test_nothing_is_left_of_the_picture_before() -> None:
     first = scene.frame(arm)
     scene.frame(arm._replace(backbone=arm.backbone + 0.1, sensors=arm.sensors - 0.1, text="another"))
     assert (scene.frame(arm) == first).all()
-
-
-def test_the_window_shows_the_latest_picture(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("MPLBACKEND", "agg")
-    scene = ArmScene()
-    scene.show(straight())
-    scene.show(straight(text="later"))
-    assert (np.asarray(scene.image.get_array()) == scene.frame(straight(text="later"))).all()
-    scene.close()
-    assert scene.window is None

@@ -1,0 +1,15 @@
+"""Arms in the browser: a simulated one that follows a target, a finished run, a live one.
+
+moment         one instant of an arm, as numbers
+outline        moments of a kinematic model
+tube           a mesh around a curve
+scene          what stands in space, on a page
+panel          what is told beside it
+page           the page itself, with viser
+pursuit        an arm under its controller, in steps
+follower       that arm in real time, after a target that can be dragged
+recorded       a finished run's moments
+player         them, under a time slider
+live_view      a run on an arm, watched from a process of its own
+env_window     an environment's pictures
+"""
