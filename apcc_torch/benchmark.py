@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import hydra
@@ -10,6 +11,7 @@ import torch
 from hydra import compose
 from hydra.core.config_store import ConfigStore
 from hydra.core.hydra_config import HydraConfig
+from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import HydraException
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
@@ -18,7 +20,13 @@ from apcc_torch.completion import answered
 from apcc_torch.composed import initialised
 from apcc_torch.composition.arguments import options_first
 from apcc_torch.composition.arm_file import arm_override
-from apcc_torch.composition.benchmark import BenchmarkSettings, ComparisonSettings, OverrideSettings
+from apcc_torch.composition.benchmark import (
+    BenchmarkSettings,
+    ComparisonSettings,
+    GridSettings,
+    OverrideSettings,
+    RowSettings,
+)
 from apcc_torch.composition.help import describe
 from apcc_torch.composition.run_settings import SimulateSettings
 from apcc_torch.composition.schema import check_words, schema, sentence, typed
@@ -71,11 +79,58 @@ def rows(config: BenchmarkSettings, comparison: ComparisonSettings, run: str) ->
         every = (*here, *changes.common, *of_side.get(row, ()))
         settings = list({setting.partition("=")[0]: setting for setting in every}.values())
         adaptive = row == "adaptive" if law is None else None
-        cut = paper.on_grid(experiment(base, settings), config.grid, adaptive)
+        composed = experiment(base, settings)
+        check_kept("experiments.common", changes.common, config.grid, law, (*own, *pair.changes.get(row, ())))
+        check_kept(f"experiments.{row}", of_side.get(row, ()), config.grid, law)
+        cut = paper.on_grid(composed, config.grid, adaptive)
         found[row] = Row(cut, None if law is None else law.searched)
     if comparison.rows:
         paper.check_laws(run, found)
     return found
+
+
+def check_kept(
+    who: str, words: tuple[str, ...], grid: GridSettings, law: RowSettings | None, own: tuple[str, ...] = ()
+) -> None:
+    """Raises ConfigError where the command line sets a key of a row that the benchmark sets after it.
+
+    Args:
+        who: The key of the benchmark's that holds the words.
+        words: Settings of an experiment, which hydra has taken.
+        grid: Its payloads and its duration take the place of the experiment's.
+        law: The row in which nothing but the law differs; None for one of the two controllers.
+        own: What makes the row what it is, and must not be the same in all of them.
+    """
+    kept = {key: f"the row itself does with {each}" for each in own for key in keys_set(each)}
+    if law is None:
+        kept["controller.adaptive"] = (
+            "the comparison itself does: its rows are the standard controller and the adaptive"
+        )
+    elif law.searched == "gamma":
+        kept["adaptation.gamma"] = "the row itself does: it is searched for"
+    for name in ("payloads", "duration"):
+        if getattr(grid, name) is not None:
+            kept[f"experiment.{name}"] = f"grid.{name} does: change that, or make it null"
+    for word in words:
+        for key in keys_set(word):
+            for name, does in kept.items():
+                if f"{name}.".startswith(f"{key}."):
+                    raise ConfigError(f"{who} must not set {key}, {does}")
+
+
+def keys_set(word: str) -> Iterator[str]:
+    """The keys that a word of a command line sets: a group's, or those of the values that it spells out."""
+    override = OverridesParser.create().parse_override(word)
+    yield from leaves(override.key_or_group.replace("/", "."), override.value())
+
+
+def leaves(key: str, value: object) -> Iterator[str]:
+    """The keys of a value's leaves."""
+    if not isinstance(value, dict) or not value:
+        yield key
+        return
+    for name, each in value.items():
+        yield from leaves(f"{key}.{name}", each)
 
 
 def compose_grids(config: BenchmarkSettings) -> paper.Grids:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import argparse
+import os
+import shlex
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -88,7 +90,7 @@ def paths(given: argparse.Namespace) -> tuple[Path, Path]:
     file = Path(given.file)
     file = file if file.suffix in (SUFFIX, ".yml") else file.with_name(file.name + SUFFIX)
     picture = file.with_suffix(".png")
-    there = [path for path in (file, picture) if path.exists()]
+    there = [path for path in (file, picture) if os.path.lexists(path)]
     if there and not given.overwrite:
         raise ConfigError(f"{there[0]} is there already: name another file, or overwrite=true writes over it")
     return file, picture
@@ -96,7 +98,7 @@ def paths(given: argparse.Namespace) -> tuple[Path, Path]:
 
 def next_commands(file: Path, arm: Arm) -> list[str]:
     """What to run with the arm's file."""
-    word = f"arm={file}"
+    word = shlex.quote(f"arm={file}")
     return [
         f"python -m apcc_torch.simulate experiment=kinematic {word}",
         f"python -m apcc_torch.simulate experiment=dynamic_run_2_tuned compile=auto {word}",

@@ -78,7 +78,8 @@ def check_key(name: str, root: type[Settings], key: str = "") -> None:
     if name in root.elsewhere:
         raise ConfigError(f"{_join(key, name)} is no setting here, but one of {root.elsewhere[name]}")
     if name not in known:
-        raise ConfigError(f"{_join(key, name)} is no setting{did_you_mean(name, known)}")
+        said = _join(key, name)  # of a file, it may be any text
+        raise ConfigError(f"{said if said.isprintable() else repr(said)} is no setting{did_you_mean(name, known)}")
 
 
 @contextmanager

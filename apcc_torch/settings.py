@@ -245,7 +245,9 @@ def check_names(owner: str, given: Iterable[str], known: Sequence[str]) -> None:
 
 def close(name: str, known: Iterable[str]) -> str | None:
     """The name that a mistyped one may stand for; None where nothing is close."""
-    return next(iter(difflib.get_close_matches(name, list(known), n=1, cutoff=0.6)), None)
+    known = list(known)
+    in_capitals = [each for each in known if each.casefold() == name.casefold()]
+    return next(iter(in_capitals or difflib.get_close_matches(name, known, n=1, cutoff=0.6)), None)
 
 
 def did_you_mean(name: str, known: Iterable[str]) -> str:

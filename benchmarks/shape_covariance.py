@@ -26,7 +26,9 @@ PULL = 2.0
 ARMS = {
     "three sections": Arm(lengths=[0.105, 0.255, 0.24]),
     "reversed": Arm(lengths=[0.24, 0.255, 0.105]),
-    "four, standing": Arm(lengths=[0.1, 0.15, 0.1, 0.12], base="standing", mass=0.2, bending_stiffness=3.0),
+    "four, standing": Arm(
+        lengths=[0.1, 0.15, 0.1, 0.12], base="standing", mass=0.2, bending_stiffness=3.0, axial_stiffness=400.0
+    ),
     "four sensors": Arm(lengths=[0.2, 0.2, 0.2], sensors=[0.13, 0.31, 0.47, 0.6]),
     "two sensors": Arm(lengths=[0.105, 0.255, 0.24], sensors=[0.36, 0.6]),
 }

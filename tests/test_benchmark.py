@@ -123,6 +123,46 @@ def test_what_no_run_reads_is_refused(
     refused(["grid=small", *RUN_2, argument], tmp_path, monkeypatch, caplog, sentence)
 
 
+@pytest.mark.parametrize(
+    ("argument", "sentence"),
+    [
+        (
+            'experiments.common=["controller.adaptive=true"]',
+            "experiments.common must not set controller.adaptive, the comparison itself does: its rows are",
+        ),
+        (
+            'experiments.adaptive=["++controller={K:2.0,adaptive:false}"]',
+            "experiments.adaptive must not set controller.ad",
+        ),
+        (
+            'experiments.common=["experiment.payloads=[0.1]"]',
+            "must not set experiment.payloads, grid.payloads does: change that, or make it null",
+        ),
+        ('experiments.standard=["experiment.duration=3"]', "must not set experiment.duration, grid.duration does"),
+    ],
+)
+def test_what_the_comparison_sets_is_not_lost_in_silence(
+    argument: str, sentence: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    refused(["grid=small", *RUN_2, argument], tmp_path, monkeypatch, caplog, sentence)
+
+
+@pytest.mark.parametrize(
+    ("argument", "sentence"),
+    [
+        ('experiments.common=["adaptation=normalised"]', "set adaptation, the row itself does with adaptation="),
+        ('experiments.common=["controller.adaptive=false"]', "the row itself does with controller.adaptive=false"),
+        ('experiments.common=["adaptation.gamma=3"]', "adaptation.gamma is no setting; "),
+    ],
+)
+def test_rows_that_differ_in_their_law_keep_it(
+    argument: str, sentence: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    refused(
+        ["grid=small", "~grid.comparisons.A", "~grid.comparisons.B", argument], tmp_path, monkeypatch, caplog, sentence
+    )
+
+
 def refused(
     words: list[str],
     folder: Path,

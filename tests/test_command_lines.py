@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import pickle
 import signal
 import sys
 from collections.abc import Callable
@@ -62,6 +63,37 @@ def test_what_is_mistyped_is_refused_in_a_sentence(
     told = capsys.readouterr().err
     assert ended.value.code == 2 and said in told and len(told.splitlines()) == 1, told
     assert not list(tmp_path.iterdir()) and "HYDRA_FULL_ERROR" not in os.environ
+
+
+@pytest.mark.parametrize("program", [simulate, benchmark, evaluate, identify, robot])
+@pytest.mark.parametrize("option", ["--experimental-rerun {}", "--experimental-rerun={}", "--exp={}"])
+def test_no_program_unpickles_a_file(
+    program: ModuleType,
+    option: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """Hydra would rerun a job from a pickle, which runs what its author wrote into it."""
+    file, mark = tmp_path / "config.pickle", tmp_path / "ran"
+    file.write_bytes(pickle.dumps(Touching(mark)))
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "argv", ["command", *option.format(file).split()])
+    with pytest.raises(SystemExit) as ended:
+        program.main()
+    told = capsys.readouterr().err
+    assert ended.value.code == 2 and "--experimental-rerun is refused" in told and told.count("\n") == 1, told
+    assert not mark.exists() and list(tmp_path.iterdir()) == [file]
+
+
+class Touching:
+    """Leaves a file where it is unpickled."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Path.touch, (self.path,)
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -37,13 +38,30 @@ def arm_override(arguments: Sequence[str]) -> list[str]:
     return words
 
 
+def literal(text: str) -> str:
+    """A text as OmegaConf takes it: nothing in it refers to another value, or to the environment."""
+    return re.sub(r"(\\*)\$\{", r"\1\1\\${", text)
+
+
+def quoted(text: str) -> str:
+    """A text within quotes, as Hydra's grammar has them: in front of a quote a backslash is an escape."""
+    escaped = re.sub(r"(\\*)('|\Z)", lambda found: found[1] * 2 + ("\\'" if found[2] else ""), text)
+    return f"'{escaped}'"
+
+
 def spelled(value: Any) -> str:
-    """A plain value in the grammar of Hydra's overrides."""
+    """A plain value in the grammar of Hydra's overrides, in which nothing is resolved.
+
+    Raises:
+        ConfigError: A name in it cannot be written so.
+    """
     if isinstance(value, Mapping):
+        for name in value:
+            if not re.fullmatch(r"[\w.+%@?|/-]+( +[\w.+%@?|/-]+)*", str(name)):
+                raise ConfigError(f"{str(name)!r} is no name that a setting can have: use letters, digits and _ . - /")
         return "{" + ",".join(f"{name}:{spelled(entry)}" for name, entry in value.items()) + "}"
     if isinstance(value, list):
         return "[" + ",".join(map(spelled, value)) + "]"
     if isinstance(value, str):
-        # A backslash escapes a quote, and another one only in front of a quote.
-        return "'" + value.replace("\\'", "\\\\'").replace("'", "\\'") + "'"
+        return quoted(literal(value))
     return "null" if value is None else str(value).lower() if isinstance(value, bool) else repr(value)

@@ -2,20 +2,26 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from apcc_torch.annotations import shown
 from apcc_torch.composition.arm_file import SUFFIXES, spelled
 from apcc_torch.composition.evaluate import EvaluateSettings
-from apcc_torch.composition.identify import LearningSettings, known_arm
-from apcc_torch.errors import ConfigError, DataError
+from apcc_torch.composition.identify import IdentifySettings, LearningSettings, known_arm
+from apcc_torch.composition.schema import groups
+from apcc_torch.errors import ConfigError, DataError, ValueRangeError
 from apcc_torch.files import read_text, yaml_in
-from apcc_torch.recordings.data_set import holding, named_set, refuse, set_file, set_names
-from apcc_torch.settings import Settings, keys
+from apcc_torch.reading import nested_in, read
+from apcc_torch.recordings.data_set import DataSettings, holding, named_set, refuse, set_file, set_names
+from apcc_torch.settings import Settings, did_you_mean, keys
 
 FILE = "data.yaml"
 """Name of a data set's file in a folder that is given for it."""
+ITS_OWN = ("spread", "recording", "split", "fit", "methods", "every", "seed", "online", "replay")
+"""Keys of the programs that a data set's file may have beside data: nothing of folders, threads or Hydra."""
 
 
 def data_override(arguments: Sequence[str], root: type[Settings] = EvaluateSettings) -> list[str]:
@@ -76,16 +82,33 @@ def _of_file(file: Path, root: type[Settings], named: bool = False) -> tuple[lis
     values = yaml_in(read_text(file, name=str(file)), str(file))
     if not isinstance(values, dict) or not isinstance(values.get("data"), dict):
         raise DataError(f"{file}: must hold the group data, as the files of conf/data_set do")
+    for key in values:
+        if key not in ("data", *ITS_OWN):
+            raise DataError(f"{file}: {shown(key)} is nothing that a data set says{did_you_mean(str(key), ITS_OWN)}")
     data: dict[str, Any] = {"name": file.stem if file.name != FILE else file.resolve().parent.name} | values.pop("data")
     if not named and data.get("source") is None:
         data.setdefault("folder", ".")
-    if data.get("folder") is not None:
-        data["folder"] = str((file.resolve().parent / str(data["folder"])).resolve())
-    arm = str(data.get("arm", ""))
-    if arm.endswith(SUFFIXES):
-        arm = str(file.resolve().parent / arm)
-    known, others = ({each.name for each in keys(kind)} for kind in (root, EvaluateSettings))
-    # The package's own sets are split as the leaderboard has it; a fit has its own default.
-    known -= set() if not named or root is EvaluateSettings else {"split"}
-    words = [f"{key}={spelled(value)}" for key, value in values.items() if key in known or key not in others]
-    return [f"data={spelled(data)}", *words], arm
+    try:
+        arm = read(data, DataSettings, "data").arm
+        if arm.endswith(SUFFIXES):
+            arm = str(file.resolve().parent / arm)
+        elif arm and arm not in groups("evaluate")["arm"]:
+            raise ConfigError(f"data.arm has no choice {arm!r}{did_you_mean(arm, groups('evaluate')['arm'])}")
+        if data.get("folder") is not None:
+            data["folder"] = os.path.realpath(file.resolve().parent / data["folder"])
+        for key, value in values.items():
+            kinds = (kind for kind in (root, EvaluateSettings, IdentifySettings) if key in _names(kind))
+            part = next((nested_in(kind, key) for kind in kinds), None)
+            if part is not None:
+                read(value, part, key)
+        # The package's own sets are split as the leaderboard has it; a fit has its own default.
+        known = _names(root) - ({"split"} if named and root is not EvaluateSettings else set())
+        told = {key: value for key, value in values.items() if key in known}
+        words = [f"{key}={spelled(value)}" for key, value in ({"data": data} | told).items()]
+    except (ConfigError, ValueRangeError) as error:
+        raise type(error)(f"{file}: {error}") from error
+    return words, arm
+
+
+def _names(root: type[Settings]) -> set[str]:
+    return {each.name for each in keys(root)}

@@ -80,4 +80,7 @@ def _folds(settings: EvaluateSettings, series: Series, name: str) -> list[Split]
         parts = Split(none, every) if name == settings.data.validation else Split(every, none)
         return [parts.within(series.seen)]
     folds = range(settings.split.folds) if settings.data.every_fold else [settings.split.fold]
-    return [split(series.groups, settings.split, fold=fold).within(series.seen) for fold in folds]
+    try:
+        return [split(series.groups, settings.split, fold=fold).within(series.seen) for fold in folds]
+    except DataError as error:
+        raise DataError(f"{series.source}: {error}") from error

@@ -9,7 +9,7 @@ import torch
 
 from apcc_torch.composition.run_settings import FolderSettings
 from apcc_torch.composition.unread import Unread
-from apcc_torch.errors import ConfigError
+from apcc_torch.errors import ConfigError, DataError
 from apcc_torch.identification.arm_blocks import KEYS, Spreads, arm_parameters
 from apcc_torch.identification.fit import FitSettings
 from apcc_torch.identification.online import OnlineSettings
@@ -171,8 +171,11 @@ def known_arm(data: str) -> str | None:
         refuse(data)
     file = path / "recording.csv" if path.is_dir() else path
     if file.is_file():
-        with file.open(encoding="utf-8-sig", errors="replace") as lines:
-            header = {name.strip() for name in lines.readline(MOST_HEADER).split(",")}
+        try:
+            with file.open(encoding="utf-8-sig", errors="replace") as lines:
+                header = {name.strip() for name in lines.readline(MOST_HEADER).split(",")}
+        except OSError as error:
+            raise DataError(f"{file}: cannot be read: {error.strerror}") from error
         if {"servo_1_mm", "tip_x"} <= header:
             return "ftdcr_v6"
     return "trunk" if detect_layout(path) == "trunk" else None

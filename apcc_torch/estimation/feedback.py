@@ -21,9 +21,10 @@ class FeedbackStatus(IntEnum):
     CONVERGED = 0
     """Every sensor is within both thresholds."""
     SETTLED = 1
-    """The step became negligible with a residual above the thresholds: nearby, the model fits no better."""
+    """The step became negligible with a residual above the thresholds: nearby, the model fits no better. Of a
+    `ShapeFeedback` only where no sensor is ten standard deviations off from the arm's own shape."""
     ITERATION_LIMIT = 2
-    """The iterations ran out first."""
+    """The iterations ran out first. A `ShapeFeedback` takes one a sample: its status is this until the arm rests."""
     INVALID = 3
     """No usable sensor, one whose pose is no pose, a non-finite seed, or a rest length that is not positive and finite:
     q_bar is the seed, and the controller holds its command."""

@@ -33,6 +33,8 @@ LARGEST_SHARE = 0.3
 overshoot, and the next step too."""
 LARGEST_STEP = 0.3
 """Largest change of a section's strain in one step, rad and m."""
+SHORTEST = 0.05
+"""Of its rest length, the least that a section, or a piece of one, keeps."""
 
 
 class ShapeState(NamedTuple):
@@ -41,12 +43,15 @@ class ShapeState(NamedTuple):
     sections: (..., n) their bends, rad, and lengths, m: c of the module's head, and with it the rest lengths.
     load: (...) m at the tip, kg. variance: (...) of it, over that of before it is felt.
     sag: (..., 2, n_f) of the pieces' strains, by the arm's own weight and by each kg at the tip.
+    misfit: (...) how far the sensor that is farthest off was from the shape that the last step began with, over the
+        standard deviation, squared.
     """
 
     sections: Tensor
     load: Tensor
     variance: Tensor
     sag: Tensor
+    misfit: Tensor
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -138,7 +143,9 @@ class LoadedShape(Part):
             sections: (..., n) their bends, rad, and lengths, m, in the order of a `PCCBackbone`'s q.
         """
         load, none = torch.zeros_like(sections[..., 0]), torch.zeros_like(self._spread(sections))
-        return ShapeState(sections, load, torch.ones_like(load), torch.stack((none, none), dim=-2))
+        return ShapeState(
+            sections, load, torch.ones_like(load), torch.stack((none, none), dim=-2), torch.zeros_like(load)
+        )
 
     def strain(self, state: ShapeState) -> Tensor:
         """c (..., n): bends, rad, and elongations, m, of the sections."""
@@ -147,8 +154,16 @@ class LoadedShape(Part):
         return state.sections - torch.stack((none, none, length), dim=-1).flatten(-2)
 
     def configuration(self, state: ShapeState) -> Tensor:
-        """q_f (..., n_f) of the arm's pieces: rad, rad, m."""
-        return self._spread(self.strain(state)) + self._sag(state)
+        """q_f (..., n_f) of the arm's pieces: rad, rad, m. None is shorter than a share of its rest length."""
+        q = self._spread(self.strain(state)) + self._sag(state)
+        return self._longer_than(q, (SHORTEST - 1.0) * self.pieces(q))
+
+    def _longer_than(self, q: Tensor, least: Tensor) -> Tensor:
+        return torch.maximum(q, self.backbone.coordinates.with_elongations(torch.full_like(q, -torch.inf), least))
+
+    def change(self, before: ShapeState, after: ShapeState) -> Tensor:
+        """(..., n_f) by how much the arm's pieces have moved, rad and m."""
+        return self.configuration(after) - self.configuration(before)
 
     def forward(
         self, state: ShapeState, T: Tensor, usable: Tensor, oriented: Tensor, y: Tensor | None, dt: Tensor
@@ -163,16 +178,17 @@ class LoadedShape(Part):
             dt: (...) s since the last step.
         """
         sag = self._renewed(state, dt)
-        H, slope, prior = self._weighed(state._replace(sag=sag), T, usable, oriented, y, dt)
+        H, slope, prior, misfit = self._weighed(state._replace(sag=sag), T, usable, oriented, y, dt)
         last = torch.cat((torch.zeros_like(slope[..., :-1]), torch.ones_like(slope[..., -1:])), dim=-1)
         solved = solve_spd(H, torch.stack((slope, last), dim=-1))
         step = solved[..., 0]
         step = scaled_within(step, LARGEST_STEP, of=step[..., :-1])
         moved = ShapeState(
-            state.sections + step[..., :-1],
+            self._longer_than(state.sections + step[..., :-1], SHORTEST * self._lengths(state.sections)),
             (state.load + step[..., -1]).clamp(min=0.0),
             solved[..., -1, 1] / prior,
             sag,
+            misfit,
         )
         finite = torch.isfinite(step).all(-1)
         return ShapeState(
@@ -207,8 +223,8 @@ class LoadedShape(Part):
 
     def _weighed(
         self, state: ShapeState, T: Tensor, usable: Tensor, oriented: Tensor, y: Tensor | None, dt: Tensor
-    ) -> tuple[Tensor, Tensor, Tensor]:
-        """Information (..., n + 1, n + 1) on strains and load, it times their change, and the load's first variance."""
+    ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Information (..., n + 1, n + 1), it times their change, the load's first variance, and the `misfit`."""
         r, J = self._residual(state, T, usable, oriented, y)
         prior = (aligned(self.load, 0) * self._mass(r)).square()
         walked = (state.variance + (aligned(self.load_rate, 0) / aligned(self.load, 0)) ** 2 * dt).clamp(max=1.0)
@@ -216,7 +232,9 @@ class LoadedShape(Part):
         deviation = self._deviation(strain)
         weight = torch.cat((deviation.square().reciprocal(), (walked * prior).reciprocal().unsqueeze(-1)), dim=-1)
         pull = torch.cat((strain / deviation.square(), torch.zeros_like(walked).unsqueeze(-1)), dim=-1)
-        return J.mT @ J + torch.diag_embed(weight), (J.mT @ r.unsqueeze(-1)).squeeze(-1) - pull, prior
+        slope = (J.mT @ r.unsqueeze(-1)).squeeze(-1) - pull
+        misfit = r[..., : 6 * T.shape[-3]].unflatten(-1, (-1, 3)).square().sum(-1).amax(-1)
+        return J.mT @ J + torch.diag_embed(weight), slope, prior, misfit
 
     def _moved(self, body: Tensor, state: ShapeState) -> Tensor:
         """A body Jacobian (..., k, 6, n_f) by the strains and the load (..., k, 6, n + 1)."""

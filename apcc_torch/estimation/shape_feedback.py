@@ -21,6 +21,8 @@ from apcc_torch.shapes import check_tensor
 
 SAMPLES = 2
 """Points on each piece of the arm that the model is fitted to."""
+MISFIT = 10.0
+"""Standard deviations that a sensor is off from a shape at rest which is another branch's, or another arm's."""
 
 
 class FollowedShape(NamedTuple):
@@ -100,10 +102,8 @@ class ShapeFeedback(Part):
         """
         shape = self.shape(state.shape, T, usable, oriented, y, dt)
         points, share = self.curve(shape)
-        coordinates = self.fit.backbone.coordinates
-        q_bar = coordinates.with_elongations(q_bar, state.lengths - pi_hat)  # rest lengths may have moved since
-        q_bar = self.fit(q_bar, pi_hat, points, share)
-        return FollowedShape(shape, pi_hat + q_bar[..., coordinates.elongations]), q_bar
+        q_bar = self.fit(self._seed(q_bar, state, pi_hat), pi_hat, points, share)
+        return FollowedShape(shape, pi_hat + q_bar[..., self.fit.backbone.coordinates.elongations]), q_bar
 
     def start(self, q: Tensor, pi_hat: Tensor) -> tuple[FollowedShape, Tensor]:
         """`initial_state`, and the strains that it begins with, for a first q_d (..., n) of the shape of q."""
@@ -137,10 +137,17 @@ class ShapeFeedback(Part):
         y = None if y is None else y.expand(*batch, y.shape[-1])
         T = se3.pose(problem.rotation, problem.position)
         oriented = torch.zeros_like(problem.oriented) if feedback.mode == "position" else problem.oriented
-        state, q_bar = self(state, q_bar, pi_hat, T, problem.usable, oriented, y, dt.expand(batch))
-        return state, feedback.judged(
-            q_bar, pi_hat, problem._replace(points=self.sensors_on(state.shape, q_bar, pi_hat))
+        later, found = self(state, q_bar, pi_hat, T, problem.usable, oriented, y, dt.expand(batch))
+        problem = problem._replace(points=self.sensors_on(later.shape, found, pi_hat))
+        step = torch.cat(
+            (found - self._seed(q_bar, state, pi_hat), self.shape.change(state.shape, later.shape)), dim=-1
         )
+        misfit = later.shape.misfit > MISFIT**2
+        return later, feedback.judged(found, pi_hat, problem, step.abs().amax(-1), misfit)
+
+    def _seed(self, q_bar: Tensor, state: FollowedShape, pi_hat: Tensor) -> Tensor:
+        """The last q_bar (..., n) with its sections as long as they were: rest lengths may have moved since."""
+        return self.fit.backbone.coordinates.with_elongations(q_bar, state.lengths - pi_hat)
 
     def strain(self, state: FollowedShape) -> Tensor:
         """The bends and elongations of the arm's own sections, as a configuration (..., n) of the model."""

@@ -157,17 +157,21 @@ class StateFeedback(Part):
         lengths = (pi_hat > 0.0).all(-1, keepdim=True)  # of no length there is nothing to bend
         return pi_hat, self._problem(pi_hat, T, usable & lengths, oriented & lengths)
 
-    def judged(self, q_bar: Tensor, pi_hat: Tensor, problem: Problem) -> Inference:
-        """What the sensors say of a q_bar (..., n) from elsewhere: CONVERGED within both thresholds, else SETTLED."""
+    def judged(self, q_bar: Tensor, pi_hat: Tensor, problem: Problem, step: Tensor, misfit: Tensor) -> Inference:
+        """What the sensors say of a q_bar (..., n) from elsewhere, of which one step was taken.
+
+        Args:
+            q_bar, pi_hat, problem: As they are now.
+            step: (...) the largest part of that step, rad and m: with one that is not negligible a row has not settled.
+            misfit: (...) bool, rows that are a MISFIT where they settle.
+        """
         fit = evaluate(self.backbone, self.mode, q_bar, problem)
         angular, linear = fit.errors()
         within = (linear < aligned(self.linear_threshold, 1)) & (angular < aligned(self.angular_threshold, 1))
         valid = problem.usable.any(-1) & torch.isfinite(q_bar).all(-1)
-        status = torch.full_like(valid, int(FeedbackStatus.SETTLED), dtype=torch.int64)
-        status = status.masked_fill(far_off(fit, problem), int(FeedbackStatus.MISFIT))
-        status = status.masked_fill(within.all(-1), int(FeedbackStatus.CONVERGED))
-        status = status.masked_fill(~valid, int(FeedbackStatus.INVALID))
-        return Inference(Feedback(q_bar, angular, linear, torch.ones_like(status), status), pi_hat, problem)
+        settled, iterations = step < self.settled_step, torch.ones_like(valid, dtype=torch.int64)
+        status = _status(iterations, within.all(-1), settled, far_off(fit, problem) | misfit, valid)
+        return Inference(Feedback(q_bar, angular, linear, iterations, status), pi_hat, problem)
 
     def used(self, T: Tensor, mask: Tensor | None = None, angular_mask: Tensor | None = None) -> tuple[Tensor, Tensor]:
         """Which sensors, and which orientations, count: two bool (..., k). Arguments as `forward`.
@@ -225,10 +229,7 @@ class StateFeedback(Part):
         else:
             outcome = iterate(self.backbone, self._rules(), q_seed, problem, lowest)
         fit, within, settled, valid, iterations = outcome
-        status = torch.full_like(iterations, FeedbackStatus.ITERATION_LIMIT)
-        status = status.masked_fill(settled, FeedbackStatus.SETTLED)
-        status = status.masked_fill(settled & far_off(fit, problem), FeedbackStatus.MISFIT)
-        status = status.masked_fill(within, FeedbackStatus.CONVERGED).masked_fill(~valid, FeedbackStatus.INVALID)
+        status = _status(iterations, within, settled, far_off(fit, problem), valid)
         q_bar = torch.where(valid.unsqueeze(-1), fit.q, q_seed)
         return Feedback(q_bar, *fit.errors(), iterations, status)
 
@@ -310,6 +311,14 @@ class StateFeedback(Part):
         chain = self.backbone.chain_to(q.double(), problem.points)
         X = self._abscissae(chain.tip)
         return fixed_point_slope(self.backbone, self.mode, q.double(), pi.double(), X, problem, chain).to(q.dtype)
+
+
+def _status(like: Tensor, within: Tensor, settled: Tensor, far: Tensor, valid: Tensor) -> Tensor:
+    """(...) `FeedbackStatus`, of the dtype of `like`, of rows that are so."""
+    status = torch.full_like(like, int(FeedbackStatus.ITERATION_LIMIT))
+    status = status.masked_fill(settled, int(FeedbackStatus.SETTLED))
+    status = status.masked_fill(settled & far, int(FeedbackStatus.MISFIT))
+    return status.masked_fill(within, int(FeedbackStatus.CONVERGED)).masked_fill(~valid, int(FeedbackStatus.INVALID))
 
 
 def _check_mask(name: str, mask: Tensor, k: int) -> Tensor:

@@ -9,8 +9,9 @@ from typing import NamedTuple
 
 import torch
 from torch import Tensor
+from torch._C import _LinAlgError as LinAlgError  # torch.linalg.LinAlgError, as types know it
 
-from apcc_torch.errors import ApccError
+from apcc_torch.errors import ApccError, in_a_line
 from apcc_torch.evaluation.frames import Frames
 from apcc_torch.evaluation.method import Known, Method
 from apcc_torch.evaluation.tasks import Task
@@ -91,8 +92,9 @@ def evaluate(
                     for session in (each for each in sessions if len(each.folds[fold].validation)):
                         for body, error in _errors(method, task, session, fold, every).items():
                             found.setdefault((task, session.name, body), []).append(error)
-        except ApccError as error:
-            failures.append(Failure(name, str(error)))
+        except (ApccError, ArithmeticError, ValueError, LinAlgError) as error:
+            # What a method cannot do with these numbers is its own failure: the others go on.
+            failures.append(Failure(name, in_a_line(error)))
             continue
         taken = time.process_time() - begun
         scores += [

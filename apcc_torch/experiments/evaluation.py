@@ -42,14 +42,14 @@ def run(settings: EvaluateSettings, folder: Path, say: Say) -> str:
     text = board.text()
     write_atomically(folder / "table.txt", text + "\n")
     write_atomically(folder / "table.md", board.markdown() + "\n")
-    if settings.figures:
-        save_figures(board.figures(), folder / "figures")
     wall = time.perf_counter() - started
     write_json(folder / "versions.json", {**versions(), "seed": settings.seed})
-    foot = f"python -m apcc_torch.evaluate, {wall:.0f} s; " + ", ".join(f"{k} {v}" for k, v in versions().items())
-    write_atomically(folder / "leaderboard.html", board.page(folder, foot))
     write_json(folder / "table.json", {**board.table(), "wall_s": wall})
     write_json(folder / "metrics.json", {**board.metrics(), "wall_s": wall})
+    if settings.figures:
+        save_figures(board.figures(), folder / "figures")
+    foot = f"python -m apcc_torch.evaluate, {wall:.0f} s; " + ", ".join(f"{k} {v}" for k, v in versions().items())
+    write_atomically(folder / "leaderboard.html", board.page(folder, foot))
     return text
 
 

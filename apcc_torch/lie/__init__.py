@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from apcc_torch.lie import se3, so3
-from apcc_torch.lie.rotations import chordal_mean, quaternion_rotation, rotation_angle
+from apcc_torch.lie.rotations import chordal_mean, quaternion_rotation, rotation_angle, rotation_quaternion
 
 __all__ = [
     "chordal_mean",
     "quaternion_rotation",
     "rotation_angle",
+    "rotation_quaternion",
     "se3",
     "so3",
 ]

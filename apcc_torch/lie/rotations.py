@@ -40,15 +40,18 @@ def quaternion_rotation(quaternion: Tensor) -> Tensor:
 
 
 def rotation_quaternion(rotation: Tensor) -> Tensor:
-    """The unit quaternion (..., 4) x, y, z, w of rotations (..., 3, 3), w not negative; NaN where one is not finite.
+    """The unit quaternion (x, y, z, w) (..., 4) of a rotation (..., 3, 3), w not negative; of half a turn, one of two.
 
     Example:
-        >>> rotation_quaternion(quaternion_rotation(torch.tensor([0.6, 0.0, 0.0, 0.8])))
-        tensor([0.6000, 0.0000, 0.0000, 0.8000])
+        >>> rotation_quaternion(quaternion_rotation(torch.tensor([0.0, 0.6, 0.0, -0.8])))
+        tensor([-0.0000, -0.6000, -0.0000,  0.8000])
     """
-    turn = so3.log(rotation)
-    half = 0.5 * torch.linalg.vector_norm(turn, dim=-1, keepdim=True)
-    return torch.cat((0.5 * torch.sinc(half / torch.pi) * turn, half.cos()), dim=-1)
+    check_tensor("rotation", rotation, (3, 3))
+    trace = rotation.diagonal(dim1=-2, dim2=-1).sum(-1, keepdim=True)
+    multiple = so3.quaternion_multiple(rotation, 2.0 * so3.vee(rotation), trace)
+    w, v = multiple.split_with_sizes((1, 3), dim=-1)
+    length = torch.linalg.vector_norm(multiple, dim=-1, keepdim=True)
+    return torch.cat((v, w), dim=-1) / torch.where(w < 0.0, -length, length)
 
 
 def rotation_angle(a: Tensor, b: Tensor) -> Tensor:

@@ -150,7 +150,7 @@ def half_log(rotation: Tensor) -> tuple[Tensor, Tensor]:
     plain = trace > 0.0
     all_small = known(plain & (n2 < _LOG_SERIES_BELOW))
     if not all_small:
-        row_w, row_v = _quaternion(rotation, v, trace).split_with_sizes((1, 3), dim=-1)
+        row_w, row_v = quaternion_multiple(rotation, v, trace).split_with_sizes((1, 3), dim=-1)
         w, v = torch.where(plain, w, row_w), torch.where(plain, v, row_v)
         n2 = _squared(v)
 
@@ -184,7 +184,7 @@ def _twice_vee(rotation: Tensor) -> Tensor:
     return torch.stack((m21 - m12, m02 - m20, m10 - m01), dim=-1)
 
 
-def _quaternion(rotation: Tensor, v: Tensor, trace: Tensor) -> Tensor:
+def quaternion_multiple(rotation: Tensor, v: Tensor, trace: Tensor) -> Tensor:
     """A multiple (..., 4) of the unit quaternion q = (w, x, y, z) of a rotation R of trace t.
 
     4 q q^T = [[1 + t, v^T], [v, R + R^T + (1 - t) I]] with v twice the `vee` of R. Its row with the largest diagonal

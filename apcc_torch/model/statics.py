@@ -23,7 +23,7 @@ class Equilibrium(NamedTuple):
     q: (..., n) rad, rad, m.
     u: (..., n_a) forces conjugate to tendon length, N (tension is -u); None without tendons.
     residual: (...) norm of the unbalanced force in the elastic metric, sqrt(r^T K^-1 r), sqrt(J).
-    converged: (...) bool.
+    converged: (...) bool: the forces are balanced, and no section is of no length or turned inside out.
     iterations: (...) int64 steps each row took.
     """
 
@@ -144,15 +144,16 @@ def equilibrium(
     constrained = matrix is not None and u is not None
     unknown = torch.cat((start, u), dim=-1) if constrained and u is not None else start
     with torch.no_grad():
-        solved, residual, converged, taken = _newton(problem, unknown, n, iterations, tolerance)
+        solved, residual, balanced, taken = _newton(problem, unknown, n, iterations, tolerance)
         _, jacobian = _balance(problem, solved, n)
+        lengths = dynamics.lengths + solved[..., n // n_b - 1 : n : n // n_b]  # a section's last coordinate
     if torch.is_grad_enabled():
         # At a root this step is zero; its derivative is that of the implicit function.
         step = torch.linalg.solve_ex(jacobian, _residual(problem, solved, n).unsqueeze(-1))[0].squeeze(-1)
-        solved = solved - torch.where(converged.unsqueeze(-1), step, 0.0)
+        solved = solved - torch.where(balanced.unsqueeze(-1), step, 0.0)
     if constrained:
         u = solved[..., n:]
-    return Equilibrium(solved[..., :n], u, residual, converged, taken)
+    return Equilibrium(solved[..., :n], u, residual, balanced & (lengths > 0.0).all(-1), taken)
 
 
 def _residual(problem: _Problem, unknown: Tensor, n: int, load: Tensor | None = None) -> Tensor:

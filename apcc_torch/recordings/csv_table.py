@@ -30,6 +30,8 @@ LONGEST_NAME = 500
 """Most characters of a column's name."""
 LOOKED_AT = 200
 """Lines that are looked at for decimal commas."""
+LARGEST = 1e15
+"""Largest number that a recording may hold: squared it is one still. Stamps are in seconds."""
 
 
 @dataclass(frozen=True)
@@ -61,19 +63,21 @@ class CsvTable:
     def finite(self, names: Sequence[str], wanted: Tensor | None = None) -> Tensor:
         """The named columns, where every cell that is `wanted` (T,) must hold a finite number."""
         values = self.take(names)
-        bad = ~values.isfinite() if wanted is None else ~values.isfinite() & wanted.unsqueeze(-1)
+        right = values.abs() <= LARGEST
+        bad = ~right if wanted is None else ~right & wanted.unsqueeze(-1)
         if bool(bad.any()):
             row, k = (int(i) for i in bad.nonzero()[0])
-            raise self.fault("the cell holds no finite number", names[k], row)
+            what = f"a number beyond {LARGEST:g}" if values[row, k].isfinite() else "no finite number"
+            raise self.fault(f"the cell holds {what}", names[k], row)
         return values
 
     def known(self, names: Sequence[str]) -> Tensor:
-        """The named columns, of which cells may be empty, but none infinite."""
+        """The named columns, of which cells may be empty, but none infinite or beyond what a recording may hold."""
         values = self.take(names)
-        bad = values.isinf()
+        bad = values.abs() > LARGEST
         if bool(bad.any()):
             row, k = (int(i) for i in bad.nonzero()[0])
-            raise self.fault("the cell holds no finite number", names[k], row)
+            raise self.fault(f"the cell holds a number beyond {LARGEST:g}", names[k], row)
         return values
 
 

@@ -74,7 +74,20 @@ class DataSettings(Settings):
     every_fold: bool = setting(False, "", OURS, "hold back every fold in turn, and not split.fold alone")
 
     def check(self) -> None:
-        """Raises ConfigError where the session to learn from, or the one that judges, is none."""
+        """Raises ConfigError where a session is named that is none, or a path leads out of the set's folder.
+
+        A set's file may come from elsewhere, and what is fetched for it is written under the names that it says.
+        """
+        paths = {"place": [self.place or self.name], "rest": [self.rest or ""], "files": list(self.files)}
+        paths["sessions.*.file"] = [session.file for session in self.sessions.values()]
+        paths["sessions.*.inputs"] = [session.inputs or "" for session in self.sessions.values()]
+        for key, path in ((key, path) for key, every in paths.items() for path in every):
+            if Path(path).is_absolute() or ".." in Path(path).parts or "\0" in path:
+                raise ConfigError(f"{key} must be a path inside the set's folder, got {path!r}")
+        if "/" in self.commit:
+            raise ConfigError(f"commit must have no slash, got {self.commit!r}")
+        if "\0" in (self.folder or "") + self.commit:
+            raise ConfigError("folder and commit must have no zero bytes")
         for name in ("train", "validation"):
             value = getattr(self, name)
             if value and value not in self.sessions:

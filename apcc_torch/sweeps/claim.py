@@ -17,6 +17,7 @@ from hydra.experimental.callback import Callback
 from omegaconf import DictConfig, OmegaConf, open_dict, read_write
 
 from apcc_torch.composition.arguments import Arguments
+from apcc_torch.composition.arm_file import literal, quoted
 from apcc_torch.composition.schema import refused_in_a_sentence, sentence
 from apcc_torch.errors import REFUSED, ApccError, ConfigError, one_sentence
 from apcc_torch.experiments.run import METRICS, PRUNED
@@ -37,16 +38,11 @@ NOTHING_RUN = re.compile(r"(.*/)?(\.hydra/\w+\.yaml|[\w.-]+\.log|config\.yaml|mu
 """What there is in a folder before anything is run."""
 
 
-def literal(path: Path) -> str:
-    """A folder as OmegaConf takes it: nothing in its name refers to another value."""
-    return re.sub(r"(\\*)\$\{", r"\1\1\\${", str(path))
-
-
 def dir_override(key: str, path: Path) -> str:
     """The override that sets a folder, quoted where hydra would not take it as it is."""
-    text = literal(path)
+    text = literal(str(path))
     if not re.fullmatch(r"[\w./-]+", text, re.ASCII):
-        text = "'" + re.sub(r"(\\*)('|\Z)", lambda found: found[1] * 2 + ("\\'" if found[2] else ""), text) + "'"
+        text = quoted(text)
     return f"{key}={text}"
 
 
@@ -65,7 +61,7 @@ def place(config: DictConfig, key: str) -> Path:
     if len(others) == len(config.hydra.overrides.hydra) and not config.get("resume"):
         path = new_folder(path)
     with read_write(config), open_dict(config):
-        node.dir = literal(path)
+        node.dir = literal(str(path))
         # Each job is composed anew from the command line.
         config.hydra.overrides.hydra = [*others, dir_override(key, path)]
     return path
@@ -180,8 +176,17 @@ def or_no_run() -> Iterator[None]:
 
 
 def check_options(program: str) -> None:
-    """Refuses, in one sentence, options that hydra would refuse with a page of usage."""
-    Arguments(f"apcc_torch.{program}", parents=[get_args_parser()], add_help=False).parse_args(sys.argv[1:])
+    """Refuses, in one sentence, options that hydra would refuse with a page of usage.
+
+    Raises:
+        ConfigError: One of them would run what a file holds: hydra reruns a job from a pickle.
+    """
+    parser = Arguments(f"apcc_torch.{program}", parents=[get_args_parser()], add_help=False)
+    if parser.parse_args(sys.argv[1:]).experimental_rerun is not None:  # its name may be cut short
+        raise ConfigError(
+            "--experimental-rerun is refused, as a pickle runs whatever its author wrote into it: give the words of "
+            "the run's .hydra/overrides.yaml to the command instead"
+        )
 
 
 def refusals(program: str) -> AbstractContextManager[None]:

@@ -9,10 +9,13 @@ import torch
 from torch import Tensor
 
 from apcc_torch.estimation.feedback import Feedback, FeedbackStatus
+from apcc_torch.estimation.shape_feedback import FollowedShape, ShapeFeedback, ShapeFeedbackSettings
 from apcc_torch.estimation.state_feedback import StateFeedback
 from apcc_torch.lie.rotations import rotation_angle
 from apcc_torch.model.abscissae import decouple
+from apcc_torch.model.arm import Arm
 from apcc_torch.model.backbone import PCCBackbone
+from apcc_torch.model.statics import equilibrium
 from arms import HANGING_BASE, PI
 from laws import bits, generator, leaves, normal, uniform
 
@@ -91,6 +94,88 @@ def test_random_sensors_against_the_oracle(seed: int) -> None:
         found = f(estimate, lengths, T)
         judge(f, lengths, T, found)
         estimate = found.q_bar
+
+
+ARMS = {
+    "the paper's": {"lengths": [0.105, 0.255, 0.24]},
+    "short": {"lengths": [0.03, 0.03], "tendon_offset": 0.004, "mass": 0.02, "bending_stiffness": 0.01},
+    "too heavy for itself": {"lengths": [1.0, 1.0, 1.0], "tendon_offset": 0.05, "mass": 20.0},
+    "four, standing": {"lengths": [0.1, 0.15, 0.1, 0.12], "base": "standing", "mass": 0.2, "bending_stiffness": 3.0},
+    "five": {"lengths": [0.1, 0.14, 0.12, 0.14, 0.1]},
+    "sensors between the ends": {"lengths": [0.2, 0.2, 0.2], "sensors": [0.13, 0.31, 0.47, 0.6]},
+    "fewer sensors than sections": {"lengths": [0.105, 0.255, 0.24], "sensors": [0.36, 0.6]},
+}
+
+
+@pytest.mark.parametrize(("name", "mode"), [(name, MODES[(i + 1) % 3]) for i, name in enumerate(ARMS)])
+def test_what_no_arm_is_shaped_like_is_not_said_to_be_found(name: str, mode: str) -> None:
+    """Algorithm 2 and the shipped law's estimator on 2000 shapes, most of which mechanics does not allow."""
+    arm = Arm(**ARMS[name])  # type: ignore[arg-type]
+    lengths, backbone, X = arm.rest_lengths(), arm.backbone(), arm.sensor_places()
+    rows = 2000 // len(ARMS)
+    q = shapes(rows, lengths, 2.5, generator(4))
+    T = backbone.pose(q, lengths, *decouple(X, lengths))
+    f = StateFeedback(backbone, X, mode)
+    found = f(torch.zeros_like(q), lengths, T)
+    judge(f, lengths, T, found)
+    judge(f, lengths, T, f(found.q_bar, lengths, T))
+    followed = ShapeFeedback.on(arm, backbone, ShapeFeedbackSettings())
+    q_bar, pi = torch.zeros_like(q), lengths.expand(rows, -1)
+    state, dt = followed.initial_state(q_bar, pi), torch.full((rows,), 0.01, dtype=D)
+    tendons = q @ arm.routing().matrix(lengths)
+    for _ in range(30):
+        last, before = state, q_bar
+        state, inference = followed.infer(f, state, q_bar, pi, T, None, None, tendons, dt)
+        q_bar = inference.feedback.q_bar
+        judge_followed(followed, f, inference.feedback, (last, before), (state, q_bar), T, lengths)
+    assert (inference.feedback.status != S.INVALID).all()
+
+
+def test_a_loaded_arm_that_hangs_still_is_said_to_have_settled() -> None:
+    arm = Arm(lengths=[0.105, 0.255, 0.24])
+    payload = torch.tensor([0.0, 0.1, 0.3], dtype=D)
+    rest = equilibrium(arm.dynamics(2), payload=payload)
+    pieces, X = arm.refined(2), arm.sensor_places()
+    T = PCCBackbone(6, arm.base_rotation()).pose(rest.q, pieces, *decouple(X, pieces))
+    backbone, pi = arm.backbone(), arm.rest_lengths().expand(3, -1)
+    f, followed = StateFeedback(backbone, X), ShapeFeedback.on(arm, backbone, ShapeFeedbackSettings())
+    q_bar, dt = torch.zeros(3, 9, dtype=D), torch.full((3,), 0.02, dtype=D)
+    state, tendons = followed.initial_state(q_bar, pi), rest.q @ arm.routing().matrix(pieces)
+    said = []
+    for _ in range(150):
+        state, inference = followed.infer(f, state, q_bar, pi, T, None, None, tendons, dt)
+        q_bar = inference.feedback.q_bar
+        said.append(inference.feedback.status)
+    assert (said[3][1:] == S.ITERATION_LIMIT).all()
+    assert ((said[-1] == S.SETTLED) | (said[-1] == S.CONVERGED)).all(), said[-1]
+
+
+def judge_followed(
+    followed: ShapeFeedback,
+    f: StateFeedback,
+    found: Feedback,
+    before: tuple[FollowedShape, Tensor],
+    after: tuple[FollowedShape, Tensor],
+    T: Tensor,
+    lengths: Tensor,
+) -> None:
+    """Checks that lengths are some, that what settled is at rest, and that the arm's own shape meets the sensors."""
+    (last, q_last), (state, q_bar) = before, after
+    arm = followed.shape
+    pieces = [arm.dynamics.lengths + arm.configuration(s.shape)[..., 2::3] for s in (last, state)]
+    for now in (*pieces, lengths + q_bar[..., 2::3], lengths + arm.strain(state.shape)[..., 2::3]):
+        assert float(now.min()) > 0.0
+    within = (found.linear_error < f.linear_threshold) & (found.angular_error < f.angular_threshold)
+    assert torch.equal(within.all(-1), found.status == S.CONVERGED)
+    settled = found.status == S.SETTLED
+    assert not ((q_bar - q_last).abs().amax(-1) > f.settled_step)[settled].any()
+    q = arm.configuration(last.shape)
+    at = arm.backbone.pose(q, arm.pieces(q), *arm.sensors_at(q))
+    linear = (at - T)[..., :3, 3].norm(dim=-1) / arm.position_noise
+    assert not (linear > 10.2).any(-1)[settled].any()
+    if f.mode != "position":
+        angular = rotation_angle(at[..., :3, :3], T[..., :3, :3]) / arm.angular_noise
+        assert not (angular > 10.2).any(-1)[settled].any()
 
 
 def not_poses(T: Tensor) -> dict[str, Tensor]:

@@ -14,7 +14,7 @@ from torch import Tensor
 from torch.func import hessian, jacfwd, jacrev, vmap
 
 from apcc_torch.errors import ShapeError
-from apcc_torch.lie import so3
+from apcc_torch.lie import quaternion_rotation, rotation_quaternion, so3
 from laws import (
     FLOATS,
     check_bad_row,
@@ -226,3 +226,13 @@ def test_wrong_shapes_are_named() -> None:
         so3.exp(torch.zeros(4, 2))
     with pytest.raises(ShapeError, match=r"rotation must have shape \(\.\.\., 3, 3\), got \(4, 4\)"):
         so3.log(torch.eye(4))
+
+
+def test_a_rotation_has_the_quaternion_that_makes_it() -> None:
+    turn = torch.cat((normal((200, 3), torch.float64, generator(3)), torch.zeros(1, 3, dtype=torch.float64)))
+    half = so3.exp(torch.eye(3, dtype=torch.float64) * torch.pi)
+    R = torch.cat((so3.exp(2.0 * turn), half))
+    q = rotation_quaternion(R)
+    torch.testing.assert_close(quaternion_rotation(q), R, rtol=0, atol=1e-14)
+    torch.testing.assert_close(q.norm(dim=-1), torch.ones_like(q[:, 0]), rtol=0, atol=1e-14)
+    assert (q[:, 3] >= 0.0).all()

@@ -176,6 +176,14 @@ def test_rows_do_not_mix_and_bad_rows_stay_alone() -> None:
     torch.testing.assert_close(equilibrium(arm, tau[2]).q, good_result.q[2], rtol=1e-9, atol=1e-10)
 
 
+def test_a_section_that_is_pressed_through_nothing_is_at_no_rest() -> None:
+    arm = rod(3, 0.6, 50.0, 0.1)
+    result = equilibrium(arm, loads=Loads(torch.tensor([[0.0, 0, 0, 0, 0, -45.0], [0.0, 0, 0, 0, 0, -55.0]], dtype=D)))
+    lengths = 0.2 + result.q[:, 2::3]
+    assert (lengths[0] > 0.0).all() and (lengths[1] < 0.0).all(), "Hooke's law knows no end"
+    assert result.converged.tolist() == [True, False]
+
+
 def test_equilibrium_is_differentiable() -> None:
     arm, routing = plant(), rack_routing(RACKS)
     tensions = torch.linspace(1.0, 5.0, 9, dtype=D)
