@@ -9,7 +9,6 @@ from typing import NamedTuple
 
 import torch
 from torch import Tensor
-from torch._C import _LinAlgError as LinAlgError  # torch.linalg.LinAlgError, as types know it
 
 from apcc_torch.errors import ApccError, in_a_line
 from apcc_torch.evaluation.frames import Frames
@@ -92,7 +91,7 @@ def evaluate(
                     for session in (each for each in sessions if len(each.folds[fold].validation)):
                         for body, error in _errors(method, task, session, fold, every).items():
                             found.setdefault((task, session.name, body), []).append(error)
-        except (ApccError, ArithmeticError, ValueError, LinAlgError) as error:
+        except (ApccError, ArithmeticError, ValueError, torch.linalg.LinAlgError) as error:  # type: ignore[attr-defined]
             # What a method cannot do with these numbers is its own failure: the others go on.
             failures.append(Failure(name, in_a_line(error)))
             continue
