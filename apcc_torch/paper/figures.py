@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from functools import partial
+from math import nan
 from pathlib import Path
 from typing import Any
 
@@ -97,12 +98,18 @@ def save_law_figure(outcomes: Outcomes, about: Mapping[str, str], folder: Path) 
         return style.save_figures({"regret.png": lambda: regret_figure(every)}, folder)
     shown = {run: rows for run, rows in outcomes.items() if run.endswith(HELD_OUT)} or outcomes
     reached = {
-        run.removesuffix(HELD_OUT).replace("_", " "): {
-            about[name]: (o.metrics["shape_error_mean_mm"], o.metrics["psi_mean_cm"]) for name, o in rows.items()
-        }
+        run.removesuffix(HELD_OUT).replace("_", " "): {about[name]: _reached(o) for name, o in rows.items()}
         for run, rows in shown.items()
     }
     return style.save_figures({"laws.png": lambda: law_figure(reached, "held out, ")}, folder)
+
+
+def _reached(outcome: Outcome) -> tuple[float, float]:
+    """Mean shape error, mm, and mean Psi, cm; NaN where all runs diverged, for then they say when that was."""
+    found = outcome.metrics
+    if found["diverged_rows"] == found["rows"]:
+        return nan, nan
+    return found["shape_error_mean_mm"], found["psi_mean_cm"]
 
 
 def save_paper_figures(outcomes: Outcomes, folder: Path) -> list[Path]:

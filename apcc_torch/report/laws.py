@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from math import isfinite
 
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, NullLocator
@@ -17,26 +18,31 @@ def law_figure(runs: Mapping[str, Mapping[str, tuple[float, float]]], title: str
     """A panel a run: mean shape error over mean Psi, a marker a law; both axes are logarithmic, for some laws run away.
 
     Args:
-        runs: Run -> law -> (shape error mm, Psi cm).
+        runs: Run -> law -> (shape error mm, Psi cm), NaN of a law of which every run diverged.
         title: Of the first panel, before its run's name.
     """
     figure = new_figure(min(4.6 * len(runs), WIDEST), 4.6 + 0.28 * -(-len(next(iter(runs.values()))) // 2))
     axes = figure.subplots(1, len(runs), squeeze=False)[0]
     for ax, (run, laws) in zip(axes, runs.items(), strict=True):
+        shapes, psis = ([pair[k] for pair in laws.values() if isfinite(pair[k])] for k in (0, 1))
         for i, (law, (shape, psi)) in enumerate(laws.items()):
             marker = MARKERS[i % len(MARKERS)]
-            ax.plot([psi], [shape], marker, color=SERIES[i % len(SERIES)], markersize=10, label=law)
+            shown = any(isfinite(each[law][0]) for each in runs.values())
+            label = law if shown else f"{law}: every run diverges"
+            ax.plot([psi], [shape], marker, color=SERIES[i % len(SERIES)], markersize=10, label=label)
         dress(ax, r"mean $\Psi$ (cm)", "mean shape error (mm)" if ax is axes[0] else "", f"{title}{run}")
+        if not shapes:
+            continue
         ax.set_xscale("log")
         ax.set_yscale("log")
-        for axis, values in ((ax.xaxis, [psi for _, psi in laws.values()]), (ax.yaxis, [e for e, _ in laws.values()])):
+        for axis, values in ((ax.xaxis, psis), (ax.yaxis, shapes)):
             axis.set_major_locator(
                 FixedLocator(spaced([tick for tick in TICKS if 0.7 * min(values) < tick < 1.4 * max(values)], 4))
             )
             axis.set_major_formatter("{x:g}")
             axis.set_minor_locator(NullLocator())
-        ax.set_xlim(0.7 * min(psi for _, psi in laws.values()), 1.4 * max(psi for _, psi in laws.values()))
-        ax.set_ylim(0.7 * min(e for e, _ in laws.values()), 1.4 * max(e for e, _ in laws.values()))
+        ax.set_xlim(0.7 * min(psis), 1.4 * max(psis))
+        ax.set_ylim(0.7 * min(shapes), 1.4 * max(shapes))
     handles, labels = axes[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=2, frameon=False, fontsize=LEGEND, labelcolor=INK)
     return figure
