@@ -78,7 +78,7 @@ class SetPoints(NamedTuple):
 def set_points(count: int, seed: int) -> SetPoints:
     """Positions within reach, spread by random bends."""
     generator = torch.Generator().manual_seed(seed)
-    q = (2.0 * torch.rand(count, 3, 3, generator=generator, dtype=D) - 1.0) * torch.tensor([0.6, 0.6, 0.01], dtype=D)
+    q = (2.0 * torch.rand(count, 3, 3, generator=generator, dtype=D) - 1.0) * torch.tensor([0.4, 0.4, 0.01], dtype=D)
     x = BACKBONE.tip(q.flatten(-2), MODEL)
     return SetPoints(x, start_configuration(BACKBONE, MODEL, x))
 

@@ -25,17 +25,24 @@ TRIED: tuple[Any, ...] = (
     *(True, math.nan, math.inf, -math.inf, -1, -1.0, 0, 1e300, -1e300, HUGE, 3j, "guessed", b"x", object()),
     *([1], [], [True], ["a"], [[1]], [math.nan], (math.inf,), {"a": 1}, torch.tensor(True), torch.tensor(math.nan)),
 )
-BARE = {"dict[str,ComparisonSettings]", "dict[str,PairSettings]", "Mapping[str,Any]", "Mapping[str,list[str]]", "Any"}
+BARE = {
+    "dict[str,ComparisonSettings]",
+    "dict[str,PairSettings]",
+    "Mapping[str,Any]",
+    "Mapping[str,list[str]]",
+    "Any",
+    "bool|str",
+}
 """Types of values that are checked entry by entry, or where they are used."""
 
 
 def refused(name: str, make: Callable[[], object]) -> bool:
-    """Whether it is refused, by one short sentence that names the field."""
+    """Whether it is refused, by short sentences, each in a line of its own, of which one names the field."""
     try:
         make()
     except ApccError as error:
-        said = str(error)
-        assert name in said and "\n" not in said and len(said) < 1000, said
+        said = str(error).splitlines()
+        assert any(name in line for line in said) and all(0 < len(line) < 1000 for line in said), said
         return True
     return False
 

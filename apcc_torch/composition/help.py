@@ -15,7 +15,6 @@ from apcc_torch.composition.schema import groups, typed
 from apcc_torch.composition.unread import Unread, reasons_of, why_unread
 from apcc_torch.conf_path import conf_path
 from apcc_torch.errors import ApccError
-from apcc_torch.files import yaml_in
 from apcc_torch.reading import nested_in
 from apcc_torch.settings import Settings, about_of, default_of, differs, keys
 
@@ -150,7 +149,7 @@ def _groups_of(command: str) -> str:
 
 def _begins_as(path: Path) -> str:
     """The preset of the same group that a preset begins as; "" where it begins by itself."""
-    entries = yaml_in(path.read_text(encoding="utf-8"), path.name) or {}
+    entries = OmegaConf.load(path) or {}
     return next((entry for entry in entries.get("defaults", ()) if entry != "_self_" and isinstance(entry, str)), "")
 
 

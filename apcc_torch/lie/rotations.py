@@ -43,8 +43,8 @@ def rotation_quaternion(rotation: Tensor) -> Tensor:
     """The unit quaternion (x, y, z, w) (..., 4) of a rotation (..., 3, 3), w not negative; of half a turn, one of two.
 
     Example:
-        >>> rotation_quaternion(quaternion_rotation(torch.tensor([0.0, 0.6, 0.0, -0.8])))
-        tensor([-0.0000, -0.6000, -0.0000,  0.8000])
+        >>> rotation_quaternion(quaternion_rotation(torch.tensor([-0.5, 0.5, -0.5, -0.5])))
+        tensor([ 0.5000, -0.5000,  0.5000,  0.5000])
     """
     check_tensor("rotation", rotation, (3, 3))
     trace = rotation.diagonal(dim1=-2, dim2=-1).sum(-1, keepdim=True)

@@ -67,8 +67,7 @@ class CsvTable:
         bad = ~right if wanted is None else ~right & wanted.unsqueeze(-1)
         if bool(bad.any()):
             row, k = (int(i) for i in bad.nonzero()[0])
-            what = f"a number beyond {LARGEST:g}" if values[row, k].isfinite() else "no finite number"
-            raise self.fault(f"the cell holds {what}", names[k], row)
+            raise self.fault(_fault(values[row, k]), names[k], row)
         return values
 
     def known(self, names: Sequence[str]) -> Tensor:
@@ -77,8 +76,13 @@ class CsvTable:
         bad = values.abs() > LARGEST
         if bool(bad.any()):
             row, k = (int(i) for i in bad.nonzero()[0])
-            raise self.fault(f"the cell holds a number beyond {LARGEST:g}", names[k], row)
+            raise self.fault(_fault(values[row, k]), names[k], row)
         return values
+
+
+def _fault(value: Tensor) -> str:
+    """What is wrong with the number in a cell."""
+    return f"the cell holds {f'a number beyond {LARGEST:g}' if bool(value.isfinite()) else 'no finite number'}"
 
 
 @dataclass(frozen=True)

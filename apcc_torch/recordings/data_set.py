@@ -79,8 +79,9 @@ class DataSettings(Settings):
         A set's file may come from elsewhere, and what is fetched for it is written under the names that it says.
         """
         paths = {"place": [self.place or self.name], "rest": [self.rest or ""], "files": list(self.files)}
-        paths["sessions.*.file"] = [session.file for session in self.sessions.values()]
-        paths["sessions.*.inputs"] = [session.inputs or "" for session in self.sessions.values()]
+        sessions = [session for session in self.sessions.values() if isinstance(session, SessionSettings)]
+        for name in ("file", "inputs"):
+            paths[f"sessions.*.{name}"] = [getattr(session, name) for session in sessions]
         for key, path in ((key, path) for key, every in paths.items() for path in every):
             if Path(path).is_absolute() or ".." in Path(path).parts or "\0" in path:
                 raise ConfigError(f"{key} must be a path inside the set's folder, got {path!r}")

@@ -171,7 +171,7 @@ def test_a_pasted_command_names_the_same_folder(name: str) -> None:
 PROGRAMS = {
     "simulate": (simulate, "run", ("experiment=kinematic",)),
     "benchmark": (benchmark, "run", ("grid=small",)),
-    "identify": (identify.identification, "run", ("arm=ftdcr_v6", "data=none")),
+    "identify": (identify.identification, "run", ("arm=ftdcr_v6", "data={sessions:{one:{file:one.csv}}}")),
     "evaluate": (evaluate.evaluation, "run", ("data=trunk",)),
     "robot": (robot.arm_run, "run", ("experiment=setpoint",)),
 }
@@ -222,7 +222,7 @@ def test_every_program_refuses_what_is_there(program: str, tmp_path: Path, caplo
 WRONG = {
     "simulate": ("experiment=kinematic", "experiment.duration=-1"),
     "benchmark": ("grid=small", "grid.setpoints=1000"),
-    "identify": ("arm=ftdcr_v6", "data=none"),
+    "identify": ("arm=ftdcr_v6", "data={sessions:{one:{file:none.csv}}}"),
     "robot": ("experiment=setpoint", "experiment.setpoints=[[0,0,0],[0,0,0.1]]"),
 }
 
