@@ -149,8 +149,8 @@ def _groups_of(command: str) -> str:
 
 def _begins_as(path: Path) -> str:
     """The preset of the same group that a preset begins as; "" where it begins by itself."""
-    entries = OmegaConf.load(path) or {}
-    return next((entry for entry in entries.get("defaults", ()) if entry != "_self_" and isinstance(entry, str)), "")
+    entries = OmegaConf.select(OmegaConf.load(path), "defaults", default=())
+    return next((entry for entry in entries if entry != "_self_" and isinstance(entry, str)), "")
 
 
 def _head(path: Path) -> str:
