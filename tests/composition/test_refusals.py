@@ -115,3 +115,22 @@ def test_choice_lists_the_options() -> None:
     assert check_choice("state", "exact", ("exact", "feedback")) == "exact"
     with pytest.raises(ConfigError, match="state must be one of exact, feedback, got 'both'"):
         check_choice("state", "both", ("exact", "feedback"))
+
+
+@pytest.mark.parametrize(
+    "word",
+    [
+        *(f"experiment.duration={value}" for value in ("-1", "nan", "inf", "0")),
+        *(f"controller.rate={value}" for value in ("0", "-5")),
+        *("device=foo", "threads=0", "seed=1e20", "arm.sensors=[0.3,0.9]", "arm.tendon_offset=27"),
+    ],
+)
+def test_what_people_have_typed_is_refused_by_name(word: str) -> None:
+    with pytest.raises(ApccError, match=word.partition("=")[0]) as caught:
+        composed("experiment=kinematic", word)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_target_out_of_every_reach_is_refused_by_name() -> None:
+    with pytest.raises(ApccError, match=r"experiment\.setpoints"):
+        composed("experiment=dynamic_run_2", "experiment.setpoints=[[300,0,0]]")
