@@ -30,6 +30,17 @@ LONG = (
     "experiments/test_identification.py",
     "hardware/test_emulated_platform.py",
     "tests/test_tutorials.py",
+    "viewing/test_pages.py",
+    "examples/test_learning_examples.py",
+    "examples/test_tune_gains.py",
+    "model/test_models_soromox.py",
+    "model/test_soromox.py",
+    "identification/test_fit.py",
+    "recordings/test_worked_examples.py",
+    "control/test_shape_law.py",
+    "paper/test_arm_series.py",
+    "tests/test_simulate.py",
+    "tests/test_benchmark.py",
 )
 
 settings.register_profile("local", deadline=None, max_examples=30)
