@@ -88,7 +88,8 @@ def draw(rows: list[list[list[str]]]) -> Figure:
             corners = "round,pad=0,rounding_size=0.05"
             ax.add_patch(FancyBboxPatch((x, bottom), width, high, corners, fc=tint, ec="#8a8a8a", lw=0.6))
             mono = {"fontsize": 8.5, "fontweight": "bold", "family": "DejaVu Sans Mono"}
-            ax.text(x + 0.09, top, name, va="top", color="#222222", **mono)
+            # A room that is a program too is that in the row of programs.
+            ax.text(x + 0.09, top, name.removesuffix(".__main__"), va="top", color="#222222", **mono)
             ax.text(x + indent, top - above * LINE, "\n".join(text), va="top", fontsize=8, color="#333333")
             if allowed:
                 below = above * LINE * (1 + len(text))
