@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 from collections import Counter
 from collections.abc import Iterator
@@ -73,3 +74,13 @@ def own_libraries(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
         patch.setenv("APCC_CACHE", str(folder))
         patch.setenv("CXXFLAGS", "-Og")
         yield
+
+
+@pytest.fixture(autouse=True)
+def own_logging() -> Iterator[None]:
+    """A program that a test runs in this process sets its logging up: the next test has it as it was."""
+    root = logging.getLogger()
+    handlers, level = root.handlers[:], root.level
+    yield
+    root.handlers[:] = handlers
+    root.setLevel(level)

@@ -65,6 +65,8 @@ UNRUN_BLOCKS: dict[str, str] = {
 
 NEEDS = {
     "sweep=optuna": "hydra_plugins.hydra_optuna_sweeper",
+    "torchrl_reach.py": "torchrl",
+    "skrl_reach.py": "skrl",
     "docs/environments.md 4": "torchrl",
     "docs/environments.md 5": "skrl",
     "docs/environments.md 6": "minari",

@@ -45,6 +45,7 @@ def run(folder: Path, program: str, data: str, *more: str) -> Path:
 
 
 def test_an_arm_of_ones_own(tmp_path: Path) -> None:
+    pytest.importorskip("sklearn")
     write_recordings(tmp_path, count=40)
     assert written(tmp_path, "arm.yaml", "data.yaml") < MOST
     short = ("fit.steps=4", "fit.rounds=1", "fit.samples=24")
