@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import sys
 import time
 from collections.abc import Sequence
@@ -65,8 +64,7 @@ def told(arm: Arm, log: KinematicLog, seconds: float) -> str:
 
 def main(argv: Sequence[str] | None = None) -> None:
     """Console entry point."""
-    parser = Arguments(prog="python -m apcc_torch.demo", description=__doc__, epilog=NEXT,
-                       formatter_class=argparse.RawDescriptionHelpFormatter)  # fmt: skip
+    parser = Arguments.described("demo", __doc__, NEXT)
     parser.add_argument(
         "folder", nargs="?", default=FOLDER, help=f"where {PICTURE} goes, over an earlier one (default: %(default)s)"
     )

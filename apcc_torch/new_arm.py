@@ -42,12 +42,8 @@ examples:
 
 def arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     """The command line; `overwrite=true` is taken as the other commands take it."""
-    parser = Arguments(
-        prog="python -m apcc_torch.new_arm",
-        description="Writes the file of an arm of yours, draws it, and says what to run next.",
-        epilog=MANUAL,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    about = "Writes the file of an arm of yours, draws it, and says what to run next."
+    parser = Arguments.described("new_arm", about, MANUAL)
     parser.add_argument("file", metavar="FILE", help="where to, FILE.yaml; its last part is the arm's name")
     for name, question in QUESTIONS.items():
         unit = f" [{question.unit}]" if question.unit else ""

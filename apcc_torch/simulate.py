@@ -37,14 +37,7 @@ ConfigStore.instance().store(name="simulate_schema", node=schema(SimulateSetting
 CHOICE = "experiment=kinematic"
 """Without it not every key is there: what `--help` and TAB take where none is made."""
 EXPERIMENTS = (
-    *(
-        "kinematic",
-        "dynamic_run_1",
-        "dynamic_run_2",
-        "dynamic_run_2_tuned",
-        "dynamic_run_2_composite",
-        "dynamic_single",
-    ),
+    *("kinematic", "dynamic_run_1", "dynamic_run_2", "dynamic_run_2_tuned", "dynamic_run_2_composite"),
     *("dynamic_single", "tracking", "robot_2", "robot_2_tuned", "robot_2_single", "setpoint", "replay"),
 )
 describe("simulate", SimulateSettings, unread=of_a_simulation, experiments=EXPERIMENTS, choice=CHOICE)

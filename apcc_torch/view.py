@@ -53,12 +53,7 @@ examples:
 
 def parser() -> argparse.ArgumentParser:
     """The command line."""
-    made = Arguments(
-        prog="python -m apcc_torch.view",
-        description="Shows an arm or a run in the browser.",
-        epilog=MANUAL,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    made = Arguments.described("view", "Shows an arm or a run in the browser.", MANUAL)
     made.add_argument("what", metavar="WHAT", help="an arm's name or file, a run's folder, or a log")
     made.add_argument("changes", metavar="KEY=VALUE", nargs="*", help="settings, where it is an arm")
     made.add_argument("--host", default=ADDRESS.host, help=f"address to serve the page on; {ADDRESS.host} if not given")

@@ -29,7 +29,7 @@ from apcc_torch.hardware.realtime import freeze, realtime
 from apcc_torch.hardware.runner import Runner
 from apcc_torch.hardware.setup import Setup
 from apcc_torch.hardware.summary import STAGES, Summary
-from apcc_torch.hardware.view import LiveView
+from apcc_torch.hardware.view import TerminalView
 
 ConfigStore.instance().store(name="realtime_schema", node=schema(RealtimeSettings))
 
@@ -66,7 +66,7 @@ def measure(rate: float, arguments: argparse.Namespace) -> dict[str, float]:
     build = RealtimeBuilder(config)
     actuator, sensor, world = build.devices()
     summary = Summary()
-    observers: list[Summary | RunLog | LiveView] = [summary]
+    observers: list[Summary | RunLog | TerminalView] = [summary]
     setup = Setup(
         actuator,
         sensor,
@@ -85,7 +85,7 @@ def measure(rate: float, arguments: argparse.Namespace) -> dict[str, float]:
             stream = stack.enter_context(Path(os.devnull).open("wb"))
             observers.append(stack.enter_context(RunLog(stream, build.layouts(), 0.0, {}, {})))
         if not arguments.no_view:
-            observers.append(stack.enter_context(LiveView(stack.enter_context(Path(os.devnull).open("w")))))
+            observers.append(stack.enter_context(TerminalView(stack.enter_context(Path(os.devnull).open("w")))))
         stack.enter_context(realtime(arguments.priority))
         outcome = Runner(setup).run()
     metrics = summary.metrics(outcome) | world.metrics()

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import gymnasium
 import torch
-from reaching import EPISODE, Curve, conclude, judged, made, options
+from reaching import EPISODE, Curve, conclude, judged, made, options, tell
 from torch import Tensor, nn
 
 GAMMA, LAMBDA, CLIP, ENTROPY, VALUE = 0.96, 0.95, 0.2, 0.0, 0.5
@@ -149,7 +149,7 @@ def learn(given: argparse.Namespace) -> Curve:
         improve(agent, optimizer, rollout)
         if update % every == 0 or update == rounds:
             curve.append((update * given.envs * EPISODE, judged(given, learnt)))
-            print(f"{curve[-1][0]:>9} steps {time.perf_counter() - started:5.0f} s   {curve[-1][1]}", flush=True)
+            tell(curve, started)
     return curve
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -108,6 +109,12 @@ def baselines(given: argparse.Namespace) -> dict[str, Score]:
         "no action": judged(given, lambda seen: torch.zeros(len(seen), size)),
         "random actions": judged(given, lambda seen: 2.0 * torch.rand(len(seen), size, generator=chance) - 1.0),
     }
+
+
+def tell(curve: Curve, started: float) -> None:
+    """Prints the last score on the way; `started` is of `time.perf_counter`."""
+    steps, score = curve[-1]
+    print(f"{steps:>9} steps {time.perf_counter() - started:5.0f} s   {score}", flush=True)
 
 
 def conclude(given: argparse.Namespace, curve: Curve, name: str) -> None:

@@ -10,7 +10,7 @@ import time
 from typing import Any
 
 import torch
-from reaching import EPISODE, Curve, Scaled, conclude, judged, made, options
+from reaching import EPISODE, Curve, Scaled, conclude, judged, made, options, tell
 from skrl.agents.torch.base import ExperimentCfg
 from skrl.agents.torch.ppo import PPO, PPO_CFG
 from skrl.envs.wrappers.torch import wrap_env
@@ -93,7 +93,7 @@ def learn(given: argparse.Namespace) -> Curve:
     for part in range(1, parts + 1):
         trainer.train()
         curve.append((part * rounds * given.envs * EPISODE, judged(given, policy.mean)))
-        print(f"{curve[-1][0]:>9} steps {time.perf_counter() - started:5.0f} s   {curve[-1][1]}", flush=True)
+        tell(curve, started)
     return curve
 
 

@@ -10,7 +10,7 @@ import argparse
 import time
 
 import torch
-from reaching import EPISODE, Curve, Scaled, conclude, judged, made, options
+from reaching import EPISODE, Curve, Scaled, conclude, judged, made, options, tell
 from tensordict.nn import TensorDictModule
 from tensordict.nn.distributions import NormalParamExtractor
 from tensordict.nn.probabilistic import InteractionType
@@ -78,7 +78,7 @@ def learn(given: argparse.Namespace) -> Curve:
         schedule.step()
         if update % max(1, rounds // 10) == 0 or update == rounds:
             curve.append((update * given.envs * EPISODE, judged(given, network.mean)))
-            print(f"{curve[-1][0]:>9} steps {time.perf_counter() - started:5.0f} s   {curve[-1][1]}", flush=True)
+            tell(curve, started)
     return curve
 
 

@@ -103,45 +103,36 @@ def test_wrong_settings_end_in_one_sentence(
     refused([argument], tmp_path, monkeypatch, caplog, sentence)
 
 
-@pytest.mark.parametrize(
-    ("argument", "sentence"),
-    [
-        (
-            'experiments.common=["plant.refine=2","experiment.omega=2"]',
-            "experiment.omega is read by nothing: experiment.setpoints",
-        ),
-        (
-            'experiments.standard=["adaptation=normalised"]',
-            "adaptation is read by nothing: controller.adaptive is false",
-        ),
-        ('experiments.common=["jobs=3"]', "jobs is read by nothing: the benchmark runs its grids itself"),
-    ],
-)
-def test_what_no_run_reads_is_refused(
-    argument: str, sentence: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
-    refused(["grid=small", *RUN_2, argument], tmp_path, monkeypatch, caplog, sentence)
+UNREAD = [
+    (
+        'experiments.common=["plant.refine=2","experiment.omega=2"]',
+        "experiment.omega is read by nothing: experiment.setpoints",
+    ),
+    (
+        'experiments.standard=["adaptation=normalised"]',
+        "adaptation is read by nothing: controller.adaptive is false",
+    ),
+    ('experiments.common=["jobs=3"]', "jobs is read by nothing: the benchmark runs its grids itself"),
+]
+SET_BY_THE_COMPARISON = [
+    (
+        'experiments.common=["controller.adaptive=true"]',
+        "experiments.common must not set controller.adaptive, the comparison itself does: its rows are",
+    ),
+    (
+        'experiments.adaptive=["++controller={K:2.0,adaptive:false}"]',
+        "experiments.adaptive must not set controller.ad",
+    ),
+    (
+        'experiments.common=["experiment.payloads=[0.1]"]',
+        "must not set experiment.payloads, grid.payloads does: change that, or make it null",
+    ),
+    ('experiments.standard=["experiment.duration=3"]', "must not set experiment.duration, grid.duration does"),
+]
 
 
-@pytest.mark.parametrize(
-    ("argument", "sentence"),
-    [
-        (
-            'experiments.common=["controller.adaptive=true"]',
-            "experiments.common must not set controller.adaptive, the comparison itself does: its rows are",
-        ),
-        (
-            'experiments.adaptive=["++controller={K:2.0,adaptive:false}"]',
-            "experiments.adaptive must not set controller.ad",
-        ),
-        (
-            'experiments.common=["experiment.payloads=[0.1]"]',
-            "must not set experiment.payloads, grid.payloads does: change that, or make it null",
-        ),
-        ('experiments.standard=["experiment.duration=3"]', "must not set experiment.duration, grid.duration does"),
-    ],
-)
-def test_what_the_comparison_sets_is_not_lost_in_silence(
+@pytest.mark.parametrize(("argument", "sentence"), [*UNREAD, *SET_BY_THE_COMPARISON])
+def test_what_no_run_reads_or_the_comparison_sets_is_refused(
     argument: str, sentence: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     refused(["grid=small", *RUN_2, argument], tmp_path, monkeypatch, caplog, sentence)

@@ -6,7 +6,7 @@ import argparse
 import itertools
 import re
 from collections.abc import Iterator, Sequence
-from typing import NoReturn
+from typing import NoReturn, Self
 
 from apcc_torch.settings import did_you_mean
 
@@ -37,6 +37,16 @@ def options_first(words: Sequence[str]) -> list[str]:
 
 class Arguments(argparse.ArgumentParser):
     """argparse's parser without its page of usage where a word is wrong."""
+
+    @classmethod
+    def described(cls, program: str, description: str | None, manual: str) -> Self:
+        """The parser of `python -m apcc_torch.PROGRAM`, whose help ends with a manual, as it stands."""
+        return cls(
+            prog=f"python -m apcc_torch.{program}",
+            description=description,
+            epilog=manual,
+            formatter_class=argparse.RawDescriptionHelpFormatter,
+        )
 
     def error(self, message: str) -> NoReturn:
         """Ends the program with exit code 2 and one sentence."""

@@ -36,14 +36,15 @@ from apcc_torch.hardware.setup import Setup
 from apcc_torch.hardware.stop_request import StopRequest
 from apcc_torch.hardware.stops import StopReason
 from apcc_torch.hardware.summary import Summary
-from apcc_torch.hardware.view import LiveView as TerminalView
+from apcc_torch.hardware.view import TerminalView
 from apcc_torch.plain_text import plain_logger
 from apcc_torch.report.style import attempt
 from apcc_torch.simulation.divergence import sentence
 from apcc_torch.simulation.kinematic import KinematicLog
 from apcc_torch.simulation.metrics import backbone_error
 from apcc_torch.viewing.drawn_size import DrawnSize
-from apcc_torch.viewing.live_view import LiveView, Watched
+from apcc_torch.viewing.live_page import Watched
+from apcc_torch.viewing.live_view import LiveView
 from apcc_torch.viewing.outline import Outline
 
 log = plain_logger(__name__)

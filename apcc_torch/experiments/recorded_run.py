@@ -116,8 +116,8 @@ def of_log(log: RobotLog, name: str) -> Recorded:
         DataError: It has no step of the controller, or lacks what one was given.
         ConfigError: Its settings have no meaning.
     """
-    build = RealtimeBuilder(settings_of(log)).model
-    layouts = RealtimeBuilder(settings_of(log)).layouts()
+    realtime = RealtimeBuilder(settings_of(log))
+    build, layouts = realtime.model, realtime.layouts()
     steps = log.rows(layouts.controller, "tick", "time", "q_bar", "pi_hat", "e")
     if not len(steps):
         raise DataError("the log holds no step of the controller")

@@ -65,7 +65,7 @@ def picture(tick: Tick | None, last: Tick | None, event: Event | None, full: flo
     return lines
 
 
-class LiveView:
+class TerminalView:
     """Observes a run. `with` takes the terminal's other screen, and gives it back.
 
     Args:
@@ -97,7 +97,7 @@ class LiveView:
         """A view that cannot be drawn is no reason to stop."""
         return None
 
-    def __enter__(self) -> LiveView:
+    def __enter__(self) -> TerminalView:
         self.terminal.write(OTHER_SCREEN)
         self.thread.start()
         return self

@@ -239,21 +239,13 @@ def _natural(name: str) -> list[tuple[int, str]]:
 
 def _numbered(names: Sequence[str], stem: str) -> tuple[str, ...]:
     """The columns stem1, stem2, ..., with or without _, up to the highest number there is; they may begin at 0."""
-    found = {
-        int(match[2]): match[1]
-        for name in names
-        if (match := re.fullmatch(rf"({stem}_?)(\d{{1,4}})", UNIT.sub("", name), re.IGNORECASE))
-    }
-    numbers = {
-        int(match[1]): name
-        for name in names
-        if (match := re.fullmatch(rf"{stem}_?(\d{{1,4}})", UNIT.sub("", name), re.IGNORECASE))
-    }
-    if not found:
+    pattern = re.compile(rf"({stem}_?)(\d{{1,4}})", re.IGNORECASE)
+    fits = {name: match for name in names if (match := pattern.fullmatch(UNIT.sub("", name)))}
+    if not fits:
         return ()
-    first = 0 if 0 in found else 1
-    spelled = next(iter(found.values()))
-    return tuple(numbers.get(k, f"{spelled}{k}") for k in range(first, max(found) + 1))
+    numbered = {int(match[2]): name for name, match in fits.items()}
+    spelled = fits[next(iter(numbered.values()))][1]
+    return tuple(numbered.get(k, f"{spelled}{k}") for k in range(min(min(numbered), 1), max(numbered) + 1))
 
 
 def clock(names: Sequence[str], settings: RecordingSettings) -> tuple[tuple[str, float], ...]:

@@ -77,13 +77,11 @@ def load_recording(path: str | Path, *given: Any, arm: Arm | None = None, **chan
             and the line, or says what to declare.
 
     Example:
-        >>> place = torch.tensor([[0.0, 0.0, -0.2], [0.0, 0.0, -0.45]]).double().expand(50, 2, 3)
-        >>> turn = torch.tensor([1.0, 0.0, 0.0, 0.0]).double().expand(50, 2, 4)
-        >>> still = Recording(("middle", "tip"), torch.arange(50).double() / 100, place, turn, torch.ones(50, 2).bool())
         >>> with TemporaryDirectory() as folder:
-        ...     save_recording(still, Path(folder) / "still.csv")
-        ...     load_recording(Path(folder) / "still.csv").names
-        ('middle', 'tip')
+        ...     _ = Path(folder, "arm.csv").write_text("t,x_tip,y_tip,z_tip\\n0.0,0,0,-450\\n0.1,9,0,-449\\n")
+        ...     recording = load_recording(Path(folder, "arm.csv"), unit="mm")
+        >>> recording.names, recording.position[-1].tolist()
+        (('tip',), [[0.009000000000000001, 0.0, -0.449]])
     """
     settings = resolved(RecordingSettings, given, changes)
     path = Path(path)

@@ -136,12 +136,8 @@ def warn(text: str) -> None:
 
 def arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     """The command line."""
-    parser = Arguments(
-        prog="python -m apcc_torch.report",
-        description="Collects runs into one table, ranks them, and writes a page to explore them.",
-        epilog=MANUAL,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    about = "Collects runs into one table, ranks them, and writes a page to explore them."
+    parser = Arguments.described("report", about, MANUAL)
     parser.add_argument("runs", nargs="+", type=Path, metavar="RUNS", help="folders of runs, sweeps or batches")
     parser.add_argument("--metric", help="metric that ranks (default: shape_error_mean_mm, where the runs have it)")
     parser.add_argument("--descending", action="store_true", help="the largest value is the best")

@@ -8,7 +8,7 @@ from torch import Tensor
 
 from apcc_torch.report import dynamic
 from apcc_torch.report.animation import save_animation
-from apcc_torch.report.backbone_drawing import Snapshots, stroboscopic_figure
+from apcc_torch.report.backbone_drawing import Snapshots, spread_indices, stroboscopic_figure
 from apcc_torch.report.dynamic import RunCurves
 from apcc_torch.report.style import Draw, attempt, save_figures
 
@@ -30,8 +30,7 @@ def in_sections(true_lengths: Tensor, n_sections: int) -> Tensor | None:
 
 def at_moments(shots: Snapshots, count: int = MOMENTS) -> Snapshots:
     """Some of a run's moments, evenly spread."""
-    T = len(shots.time)
-    at = sorted({round(k * (T - 1) / max(count - 1, 1)) for k in range(count)})
+    at = spread_indices(shots.time, float(shots.time[0]), float(shots.time[-1]), count)
     target = shots.target
     kept = target if target is None or target.dim() == 1 else target[at]
     time, true, model, on_true, on_model = (field[at] for field in shots[:5])

@@ -10,6 +10,8 @@ pursuit        an arm under its controller, in steps
 follower       that arm in real time, after a target that can be dragged
 recorded       a finished run's moments
 player         them, under a time slider
-live_view      a run on an arm, watched from a process of its own
+recent_errors  the error of the last seconds
+live_page      the page of a run on an arm, in a process of its own
+live_view      what the run hands to it
 env_window     an environment's pictures
 """

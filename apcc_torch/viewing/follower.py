@@ -4,24 +4,18 @@ from __future__ import annotations
 
 import threading
 import time
-from collections import deque
-
-import numpy as np
 
 from apcc_torch.model.arm_scale import largest_payload
 from apcc_torch.viewing.drawn_size import DrawnSize
 from apcc_torch.viewing.moment import Array
 from apcc_torch.viewing.page import Page
-from apcc_torch.viewing.panel import Panel
+from apcc_torch.viewing.panel import TOLD, Panel, numbers_of
 from apcc_torch.viewing.pursuit import Pursuit
+from apcc_torch.viewing.recent_errors import RecentErrors
 from apcc_torch.viewing.scene import LAYERS, Scene
 
 FRAME = 0.04
 """s between two pictures."""
-TOLD = 0.2
-"""s between two readings of the numbers and the plot."""
-KEPT = 20.0
-"""s of the error that the plot shows."""
 LAG = 0.1
 """s that the arm may be late before it gives them up: an arm slower than real time goes on as fast as it can."""
 
@@ -48,8 +42,7 @@ class Follower:
         self.first_target = pursuit.target
         self.paused, self.rate = False, 0.0
         self._reset = threading.Event()
-        self.times: deque[float] = deque()
-        self.errors: deque[float] = deque()
+        self.errors = RecentErrors()
         self.panel = Panel(page, self.scene, arm.n_sections)
         self._add_controls()
         self._tell()
@@ -119,28 +112,18 @@ class Follower:
         self._reset.clear()
         self.pursuit.reset()
         self.aim(self.first_target)
-        self.times.clear()
         self.errors.clear()
 
     def _keep(self) -> None:
-        if self.times and self.pursuit.time <= self.times[-1]:
-            return
-        self.times.append(self.pursuit.time)
-        self.errors.append(1e3 * self.pursuit.error)
-        while self.times[-1] - self.times[0] > KEPT:
-            self.times.popleft()
-            self.errors.popleft()
+        self.errors.keep(self.pursuit.time, 1e3 * self.pursuit.error)
 
     def _tell(self) -> None:
         pursuit = self.pursuit
-        x, y, z = 1e3 * pursuit.target
         numbers = {
             "time": f"{pursuit.time:.1f} s",
             **({"speed": "paused" if self.paused else f"{self.rate:.2f} of real time"} if self.rate else {}),
             "error of the tip": "it left all bounds: reset" if pursuit.diverged else f"{1e3 * pursuit.error:.1f} mm",
-            "target": f"{x:.0f}, {y:.0f}, {z:.0f} mm",
-            "believed lengths": ", ".join(f"{1e3 * v:.0f}" for v in pursuit.pi_hat) + " mm",
-            "highest tension": f"{float(pursuit.tension.max()):.1f} N",
+            **numbers_of(pursuit.target, pursuit.pi_hat, float(pursuit.tension.max())),
         }
         self.panel.tell(numbers)
-        self.panel.draw_error(np.array(self.times), np.array(self.errors))
+        self.panel.draw_error(*self.errors.curve())

@@ -15,7 +15,7 @@ log = plain_logger(__name__)
 
 FIELD_OF_VIEW = math.radians(40.0)
 BRAND = (0, 114, 178)
-EXTRA = "a view in the browser needs {name}: pip install 'apcc-torch[view]'"
+EXTRA = "a view in the browser needs viser: pip install 'apcc-torch[view]'"
 
 
 class Page:
@@ -42,7 +42,7 @@ class Page:
             import rich
             import viser
         except ModuleNotFoundError as error:
-            raise ConfigError(EXTRA.format(name=error.name)) from error
+            raise ConfigError(EXTRA) from error
         self.console = rich.get_console()
         self.address = address.free()
         with self._silent():

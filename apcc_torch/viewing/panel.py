@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from html import escape
 from typing import Any
 
@@ -13,6 +13,8 @@ from apcc_torch.viewing.moment import Array
 from apcc_torch.viewing.page import Page
 from apcc_torch.viewing.scene import LAYERS, Scene
 
+TOLD = 0.2
+"""s between two readings of the numbers and the plot while time goes on."""
 ROW = (
     '<tr><td style="color:{muted};padding-right:8px;white-space:nowrap">{name}</td>'
     '<td style="text-align:right">{value}</td></tr>'
@@ -25,6 +27,16 @@ MARK = (
 )
 TRUE_ARM, MODELLED_ARM = "the arm's sections", "the arm, as its controller has it"
 """What the tube may be."""
+
+
+def numbers_of(target: Array, lengths: Iterable[float], tension: float | None) -> dict[str, str]:
+    """What is told of an arm: target (3,) and believed rest lengths, m, and the highest tension, N, if known."""
+    x, y, z = 1e3 * target
+    told = {
+        "target": f"{x:.0f}, {y:.0f}, {z:.0f} mm",
+        "believed lengths": ", ".join(f"{1e3 * v:.0f}" for v in lengths) + " mm",
+    }
+    return told if tension is None else told | {"highest tension": f"{tension:.1f} N"}
 
 
 class Panel:

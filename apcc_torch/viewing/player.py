@@ -9,14 +9,12 @@ from typing import Any
 import numpy as np
 
 from apcc_torch.viewing.page import Page
-from apcc_torch.viewing.panel import MODELLED_ARM, TRUE_ARM, Panel
+from apcc_torch.viewing.panel import MODELLED_ARM, TOLD, TRUE_ARM, Panel, numbers_of
 from apcc_torch.viewing.recorded import Recorded
 from apcc_torch.viewing.scene import LAYERS, Scene
 
 FRAME = 0.04
 """s between two pictures."""
-TOLD = 0.2
-"""s between two readings of the numbers and the plot while time goes on."""
 SPEEDS = ("0.25", "0.5", "1", "2", "5")
 PLOTTED = 600
 """Most instants that the plot shows."""
@@ -108,17 +106,12 @@ class Player:
         k = run.nearest(self.time)
         moment = run.moment(k, row)
         self.scene.show(moment)
-        x, y, z = 1e3 * run.x_d[k, row].numpy()
+        tension = None if moment.tension is None else float(np.nanmax(moment.tension))
         numbers = {"time": f"{float(run.time[k]):.2f} of {float(run.time[-1]):.2f} s"}
         if run.rows[row]:
             numbers["row"] = run.rows[row]
-        numbers |= {
-            "error of the tip": f"{1e3 * float(run.error[k, row]):.2f} mm",
-            "target": f"{x:.0f}, {y:.0f}, {z:.0f} mm",
-            "believed lengths": ", ".join(f"{1e3 * v:.0f}" for v in run.pi_hat[k, row].tolist()) + " mm",
-        }
-        if moment.tension is not None:
-            numbers["highest tension"] = f"{float(np.nanmax(moment.tension)):.1f} N"
+        numbers["error of the tip"] = f"{1e3 * float(run.error[k, row]):.2f} mm"
+        numbers |= numbers_of(run.x_d[k, row].numpy(), run.pi_hat[k, row].tolist(), tension)
         self.panel.tell(numbers)
         at = np.unique(np.linspace(0, len(run.time) - 1, PLOTTED).astype(int))
         time_, error = run.time.numpy()[at], 1e3 * run.error[:, row].numpy()[at]

@@ -7,7 +7,7 @@ import time
 from dataclasses import replace
 
 from apcc_torch.hardware.states import State
-from apcc_torch.hardware.view import OTHER_SCREEN, OWN_SCREEN, LiveView, bar, picture
+from apcc_torch.hardware.view import OTHER_SCREEN, OWN_SCREEN, TerminalView, bar, picture
 from fake_devices import Fault
 from fake_runs import fake_run
 
@@ -39,7 +39,7 @@ def test_a_bar_is_full_at_its_end_and_beyond_and_without_a_number() -> None:
 
 def test_the_view_draws_and_gives_the_terminal_back() -> None:
     terminal = io.StringIO()
-    with LiveView(terminal) as view:
+    with TerminalView(terminal) as view:
         fake_run(observers=(view,))
         end = time.monotonic() + 5.0
         assert view.event is not None
