@@ -89,8 +89,11 @@ def _draw_around(ax: Axes, arm: Arm) -> None:
     for i, (x, y) in enumerate(places):  # tendons of far racks may run through one hole
         here.setdefault((round(float(x), 1), round(float(y), 1)), []).append(f"{i + 1}")
     for (x, y), numbers in here.items():
-        look = {"ha": "center", "va": "center", "fontsize": style.TICK, "color": style.INK}
-        ax.annotate(", ".join(numbers), (1.18 * x, 1.18 * y), **look)
+        # Away from the middle, so that several numbers do not lie on their mark.
+        side = "center" if abs(x) < 0.3 * offset else "left" if x > 0.0 else "right"
+        look = {"ha": side, "va": "center", "fontsize": style.TICK, "color": style.INK}
+        out = 1.18 if side == "center" else 1.1
+        ax.annotate(", ".join(numbers), (out * x, out * y), **look)
     ax.set_aspect("equal", adjustable="box")
     ax.set_xlim(-1.4 * offset, 1.4 * offset)
     ax.set_ylim(-1.4 * offset, 1.4 * offset)

@@ -203,7 +203,7 @@ def parameter_figure(log: KinematicLog, pi: Tensor, others: KinematicLog | None 
             ax.plot(values(others.time), values(others.pi_hat[..., i]), color=color, **PALE)
         ax.plot(time, estimates[:, i], color=color, linewidth=2.4, label=name)
         ax.axhline(true, color=color, linewidth=1.5, linestyle=(0, (5, 3)))
-    rows = "" if others is None else f"; pale: {others.pi_hat.shape[1]} other starts"
+    rows = _starts_told(others)
     title = f"estimated (solid) and true (dashed) rest lengths{rows}"
     style.dress(ax, TIME, r"rest length $\hat\pi_i$ (m)", title)
     style.fit_time(ax, time)
@@ -211,6 +211,12 @@ def parameter_figure(log: KinematicLog, pi: Tensor, others: KinematicLog | None 
     ax.set_ylim(low - 0.05 * (high - low), high + 0.05 * (high - low))
     style.legend(ax, loc="upper center", bbox_to_anchor=(0.5, -0.13), ncols=2)
     return figure
+
+
+def _starts_told(others: KinematicLog | None) -> str:
+    """How many rows are drawn pale, for a title."""
+    count = 0 if others is None else others.pi_hat.shape[1]
+    return "" if count == 0 else f"; pale: {count} other {'start' if count == 1 else 'starts'}"
 
 
 def sensor_figure(log: KinematicLog, abscissae: Tensor, others: KinematicLog | None = None) -> Figure:
@@ -226,7 +232,7 @@ def sensor_figure(log: KinematicLog, abscissae: Tensor, others: KinematicLog | N
     upper, lower = figure.subplots(2, 1, sharex=True)
     time = values(log.time)
     names = [f"sensor {k + 1} at {float(X):.3g} m" for k, X in enumerate(abscissae)]
-    rows = "" if others is None else f"; pale: {others.linear_error.shape[1]} other starts"
+    rows = _starts_told(others)
     for ax, field, scale in ((upper, "angular_error", 1e2), (lower, "linear_error", 1e3)):
         behind = None if others is None else (values(others.time), scale * values(getattr(others, field)))
         _draw_sensors(ax, time, scale * values(getattr(log, field)), names, behind)
