@@ -19,12 +19,10 @@ from apcc_torch.model.abscissae import decouple, whole
 from apcc_torch.model.arc import arc_geometry
 from apcc_torch.model.arm import Arm
 from apcc_torch.model.backbone import PCCBackbone
-from apcc_torch.model.friction import tension_share
+from apcc_torch.model.friction import elastic_tension, tension_share
 from apcc_torch.model.tendons import full_rows
 from apcc_torch.spread import spread
 
-_CORNER = 1e-5
-"""Width of the rounding where a tendon goes slack, m: a tenth of what is read off a servo."""
 _NODES = ((0.1127016653792583, 5 / 18), (0.5, 8 / 18), (0.8872983346207417, 5 / 18))
 """Gauss points of a section, and their shares of its mass."""
 TIP_MASS = "tip_mass"
@@ -107,7 +105,7 @@ class TendonArm:
         """Unbalanced generalized force (N, 3 n_b): zero at rest."""
         B = self.matrix(values)
         stretch = pulled + q @ B
-        tension = 0.5 * values["tendon_stiffness"] * (stretch + torch.sqrt(stretch * stretch + _CORNER * _CORNER))
+        tension = elastic_tension(stretch, values["tendon_stiffness"])
         rest = torch.nn.functional.pad(values["rest_bend"].unflatten(-1, (-1, 2)), (0, 1)).flatten(-2)
         elastic = self.stiffness(values) * (q - rest)
         share = tension_share(self.fractions, q, values["friction"] * slide)

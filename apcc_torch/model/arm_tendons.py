@@ -92,6 +92,16 @@ class Actuation(Settings):
         for name in ("pulls", "stiffness", "pre_stretch"):
             spread(f"actuation.{name}", getattr(self, name), n_tendons)
 
+    def pulled(self, inputs: Tensor, n_tendons: int) -> Tensor:
+        """Length that each tendon's motor has taken in (..., n_a), m, with the stretch at the start.
+
+        Args:
+            inputs: (..., m) in the unit that `pulls` is for.
+            n_tendons: Number n_a.
+        """
+        pulls, begun = (spread(name, getattr(self, name), n_tendons).to(inputs) for name in ("pulls", "pre_stretch"))
+        return inputs[..., list(self.driving(n_tendons))] * pulls + begun
+
     def driving(self, n_tendons: int) -> tuple[int, ...]:
         """The input that drives each tendon, from 0."""
         return tuple(range(n_tendons)) if self.inputs is None else self.inputs
