@@ -108,6 +108,20 @@ def compare(series: Series, parts: Split, used: Tensor) -> dict[str, Tensor]:
     }
 
 
+def of_geometry(settings: IdentifySettings, task: Task, geometric: Parameters) -> dict[str, Tensor]:
+    """Predictions (N, k, 3) of the arm whose bends follow from its tendons' lengths: as built, fitted, online."""
+    series, drive = task.series, task.drive
+    geometry = TendonArm(settings.arm, kinematic=True)
+    found = {"pcc_nominal": geometry.predict(drive, geometric.values(geometric.nominal()))}
+    task.say("PCC geometry")
+    found["pcc_identified"] = identified(task, geometry, geometric).prediction
+    task.say("PCC geometry, online")
+    seen = thinned(series.seen.nonzero()[:, 0], settings.online.samples)
+    online, _ = adapt(geometry, geometric, drive.rows(seen), series.positions[seen], settings.online)
+    found["pcc_online"] = torch.full_like(series.positions, torch.nan).index_copy(0, seen, online)
+    return found
+
+
 def run(settings: IdentifySettings, folder: Path, say: Say) -> tuple[dict[str, float], str]:
     """Fits, compares and writes the run's folder; returns the metrics and the report.
 
@@ -121,18 +135,11 @@ def run(settings: IdentifySettings, folder: Path, say: Say) -> tuple[dict[str, f
     (series, parts), blocks = recorded(settings), parameters(settings)
     used = thinned(parts.training, settings.fit.samples)
     drive = series.drive(settings.fit.history, settings.fit.slide_travel)
-    arm, geometry = TendonArm(settings.arm), TendonArm(settings.arm, kinematic=True)
-    geometric = blocks.holding(settings.fit.geometric)
-
+    arm = TendonArm(settings.arm)
     task = Task(series, drive, used, settings.fit, say)
     predictions = compare(series, parts, used)
-    predictions["pcc_nominal"] = geometry.predict(drive, geometric.values(geometric.nominal()))
-    say("PCC geometry")
-    predictions["pcc_identified"] = identified(task, geometry, geometric).prediction
-    say("PCC geometry, online")
-    seen = thinned(series.seen.nonzero()[:, 0], settings.online.samples)
-    online, _ = adapt(geometry, geometric, drive.rows(seen), series.positions[seen], settings.online)
-    predictions["pcc_online"] = torch.full_like(series.positions, torch.nan).index_copy(0, seen, online)
+    if settings.arm.actuation.sets == "length":
+        predictions |= of_geometry(settings, task, blocks.holding(settings.fit.geometric))
     say("the arm")
     model = identified(task, arm, blocks)
     predictions["arm_nominal"] = arm.predict(drive, blocks.values(blocks.nominal()))

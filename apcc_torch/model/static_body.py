@@ -76,7 +76,7 @@ class StaticBody(Part):
             if value is not None:
                 check_setting(name, value)
                 if per_section:
-                    check_tensor(name, value, (backbone.n_sections,))
+                    check_tensor(name, torch.as_tensor(value), (backbone.n_sections,))
         if rest_bend is not None:
             check_tensor("rest_bend", rest_bend, (backbone.n_sections, 2))
         for coordinate in backbone.coordinates.pattern:
