@@ -21,7 +21,7 @@ class Interval(NamedTuple):
 
     name: Such as "offset: tendon 3". unit: Of the next four.
     nominal: Before the fit. value: After it. low, high: 95 % confidence interval.
-    learned: Share of the variance before the fit that the data removed: 0 nothing was learned, 1 all.
+    learned: Share of the variance before the fit that the data removed: 1 all; 0 nothing, or the interval is even wider.
     """
 
     name: str
@@ -58,7 +58,7 @@ def intervals(parameters: Parameters, fit: Fit) -> list[Interval]:
             if block.spread[i] == 0:
                 continue
             value, low, high = (float(end[name][i]) for end in ends)
-            learned = 1.0 - float(deviation[index]) ** 2
+            learned = max(1.0 - float(deviation[index]) ** 2, 0.0)
             rows.append(Interval(f"{name}: {label}", block.unit, float(block.nominal[i]), value, low, high, learned))
             index += 1
     return rows
