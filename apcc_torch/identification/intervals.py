@@ -50,7 +50,7 @@ def intervals(parameters: Parameters, fit: Fit) -> list[Interval]:
     Student's, as the covariance is told by so many movements alone.
     """
     deviation = fit.covariance.diagonal().clamp(min=0.0).sqrt()
-    reach = student_95(fit.movements - 1) * deviation
+    reach = student_95(max(fit.movements - 1, 1)) * deviation
     ends = [parameters.values(fit.z + side * reach) for side in (0.0, -1.0, 1.0)]
     rows, index = [], 0
     for name, block in parameters.blocks.items():
