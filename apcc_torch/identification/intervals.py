@@ -21,7 +21,7 @@ class Interval(NamedTuple):
 
     name: Such as "offset: tendon 3". unit: Of the next four.
     nominal: Before the fit. value: After it. low, high: 95 % confidence interval.
-    learned: Share of the variance before the fit that the data removed: 1 all; 0 nothing, or the interval is even wider.
+    learned: Share of the variance before the fit that the data removed: 1 all, 0 nothing, or less than that.
     """
 
     name: str
