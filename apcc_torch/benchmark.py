@@ -9,7 +9,6 @@ from pathlib import Path
 import hydra
 import torch
 from hydra import compose
-from hydra.core.config_store import ConfigStore
 from hydra.core.hydra_config import HydraConfig
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import HydraException
@@ -29,7 +28,7 @@ from apcc_torch.composition.benchmark import (
 )
 from apcc_torch.composition.help import describe
 from apcc_torch.composition.run_settings import SimulateSettings
-from apcc_torch.composition.schema import check_words, schema, sentence, typed
+from apcc_torch.composition.schema import check_words, sentence, typed
 from apcc_torch.composition.unread import Unread, check_given, of_a_simulation
 from apcc_torch.conf_path import conf_path
 from apcc_torch.errors import ConfigError, one_sentence
@@ -40,10 +39,11 @@ from apcc_torch.plain_text import plain_logger
 from apcc_torch.reading import plain
 from apcc_torch.settings import check_names, names
 from apcc_torch.sweeps.claim import check_options, held_folder, refusals
+from apcc_torch.sweeps.schemas import keep_schema
 
 log = plain_logger("apcc_torch.benchmark")
 
-ConfigStore.instance().store(name="benchmark_schema", node=schema(BenchmarkSettings))
+keep_schema("benchmark_schema", BenchmarkSettings)
 describe("benchmark", BenchmarkSettings)
 
 

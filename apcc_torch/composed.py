@@ -9,7 +9,6 @@ from pathlib import Path
 import torch
 from hydra import compose as hydra_compose
 from hydra import initialize_config_dir
-from hydra.core.config_store import ConfigStore
 from hydra.core.global_hydra import GlobalHydra
 from hydra.errors import HydraException
 from omegaconf.errors import OmegaConfBaseException
@@ -18,7 +17,7 @@ from apcc_torch.composition.arm_file import arm_override
 from apcc_torch.composition.build import Builder
 from apcc_torch.composition.dynamics_law import with_dynamics
 from apcc_torch.composition.run_settings import SimulateSettings
-from apcc_torch.composition.schema import check_words, schema, sentence, text, typed
+from apcc_torch.composition.schema import check_words, sentence, text, typed
 from apcc_torch.composition.unread import check_given, of_a_simulation
 from apcc_torch.conf_path import conf_path
 from apcc_torch.control.composite_controller import CompositeController
@@ -28,8 +27,9 @@ from apcc_torch.errors import ConfigError
 from apcc_torch.experiments.run import run
 from apcc_torch.files import write_atomically
 from apcc_torch.simulation.plant import Plant
+from apcc_torch.sweeps.schemas import keep_schema
 
-ConfigStore.instance().store(name="simulate_schema", node=schema(SimulateSettings))
+keep_schema("simulate_schema", SimulateSettings)
 
 
 @dataclass(frozen=True)

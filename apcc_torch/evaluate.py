@@ -6,7 +6,6 @@ import sys
 from pathlib import Path
 
 import hydra
-from hydra.core.config_store import ConfigStore
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
@@ -17,17 +16,18 @@ from apcc_torch.composition.data_file import data_override
 from apcc_torch.composition.evaluate import EvaluateSettings
 from apcc_torch.composition.help import describe, for_manual
 from apcc_torch.composition.identify import of_a_fit
-from apcc_torch.composition.schema import check_words, schema, typed
+from apcc_torch.composition.schema import check_words, typed
 from apcc_torch.composition.unread import check_given
 from apcc_torch.conf_path import conf_path
 from apcc_torch.errors import one_sentence
 from apcc_torch.experiments import evaluation
 from apcc_torch.plain_text import plain_logger
 from apcc_torch.sweeps.claim import check_options, given, held_folder, refusals
+from apcc_torch.sweeps.schemas import keep_schema
 
 log = plain_logger("apcc_torch.evaluate")
 
-ConfigStore.instance().store(name="evaluate_schema", node=schema(EvaluateSettings))
+keep_schema("evaluate_schema", EvaluateSettings)
 CHOICE = "data=trunk_payload"
 """Without it not every key is there: what `--help` and TAB take where none is made."""
 describe("evaluate", EvaluateSettings, unread=of_a_fit, choice=CHOICE)

@@ -7,7 +7,6 @@ import sys
 from pathlib import Path
 
 import hydra
-from hydra.core.config_store import ConfigStore
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 
@@ -16,7 +15,7 @@ from apcc_torch.composition.arguments import options_first
 from apcc_torch.composition.arm_file import arm_override
 from apcc_torch.composition.help import describe, for_manual
 from apcc_torch.composition.realtime import RealtimeSettings, of_a_realtime_run
-from apcc_torch.composition.schema import check_words, schema
+from apcc_torch.composition.schema import check_words
 from apcc_torch.composition.unread import check_given
 from apcc_torch.conf_path import conf_path
 from apcc_torch.errors import one_sentence
@@ -25,11 +24,12 @@ from apcc_torch.hardware.stops import exit_code_table
 from apcc_torch.paper import arm_series as arm_run
 from apcc_torch.plain_text import plain_logger
 from apcc_torch.sweeps.claim import check_options, given, held_folder, refusals
+from apcc_torch.sweeps.schemas import keep_schema
 
 log = plain_logger("apcc_torch.robot")
 
 
-ConfigStore.instance().store(name="realtime_schema", node=schema(RealtimeSettings))
+keep_schema("realtime_schema", RealtimeSettings)
 CHOICE = "experiment=setpoint"
 """Without it not every key is there: what `--help` and TAB take where none is made."""
 EXPERIMENTS = (

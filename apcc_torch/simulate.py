@@ -7,7 +7,6 @@ from functools import partial
 from pathlib import Path
 
 import hydra
-from hydra.core.config_store import ConfigStore
 from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
 from omegaconf import DictConfig
@@ -18,7 +17,7 @@ from apcc_torch.composition.arm_file import arm_override
 from apcc_torch.composition.data_file import data_override
 from apcc_torch.composition.help import describe, for_manual
 from apcc_torch.composition.run_settings import SimulateSettings
-from apcc_torch.composition.schema import check_words, schema
+from apcc_torch.composition.schema import check_words
 from apcc_torch.composition.unread import check_given, of_a_simulation
 from apcc_torch.conf_path import conf_path
 from apcc_torch.errors import one_sentence
@@ -30,10 +29,11 @@ from apcc_torch.sweeps.batch_points import batch_points, with_batch
 from apcc_torch.sweeps.callback import Sweep
 from apcc_torch.sweeps.claim import check_options, given, held_folder, refusals
 from apcc_torch.sweeps.job import run_job
+from apcc_torch.sweeps.schemas import keep_schema
 
 log = plain_logger("apcc_torch.simulate")
 
-ConfigStore.instance().store(name="simulate_schema", node=schema(SimulateSettings))
+keep_schema("simulate_schema", SimulateSettings)
 CHOICE = "experiment=kinematic"
 """Without it not every key is there: what `--help` and TAB take where none is made."""
 EXPERIMENTS = (

@@ -19,17 +19,17 @@ from pathlib import Path
 
 import numpy as np
 from hydra import compose, initialize_config_dir
-from hydra.core.config_store import ConfigStore
 
 from apcc_torch.composition.realtime import RealtimeSettings
-from apcc_torch.composition.schema import schema, typed
+from apcc_torch.composition.schema import typed
 from apcc_torch.conf_path import conf_path
 from apcc_torch.experiments import realtime_run
 from apcc_torch.files import write_json
 from apcc_torch.hardware.log_reader import read_log
 from apcc_torch.hardware.stops import StopReason
+from apcc_torch.sweeps.schemas import keep_schema
 
-ConfigStore.instance().store(name="realtime_schema", node=schema(RealtimeSettings))
+keep_schema("realtime_schema", RealtimeSettings)
 
 SETTLED = (0.4, 0.95)
 """Shares of the run between which its memory's slope is taken: before them buffers fill up to their size, and behind

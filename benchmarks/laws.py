@@ -41,7 +41,7 @@ def short(table: Mapping[str, Cells], about: Mapping[str, str]) -> str:
 
 def cell(cells: Cells, row: str) -> str:
     """A law's numbers in one run, and how many of its runs diverged; where all did there are no numbers."""
-    if all_lost(cells, row):
+    if all_lost({name: cells[name][row] for name in (LOST, "rows")}):
         return "all diverge"
     told = " / ".join("-" if v is None else f"{v:.2f}" for v in (cells[metric][row] for metric in SHORT))
     lost = cells[LOST][row]

@@ -17,11 +17,10 @@ from contextlib import ExitStack
 from pathlib import Path
 
 from hydra import compose, initialize_config_dir
-from hydra.core.config_store import ConfigStore
 
 from apcc_torch.composition.build_realtime import RealtimeBuilder
 from apcc_torch.composition.realtime import RealtimeSettings
-from apcc_torch.composition.schema import schema, typed
+from apcc_torch.composition.schema import typed
 from apcc_torch.conf_path import conf_path
 from apcc_torch.files import write_json
 from apcc_torch.hardware.log import RunLog
@@ -30,8 +29,9 @@ from apcc_torch.hardware.runner import Runner
 from apcc_torch.hardware.setup import Setup
 from apcc_torch.hardware.summary import STAGES, Summary
 from apcc_torch.hardware.view import TerminalView
+from apcc_torch.sweeps.schemas import keep_schema
 
-ConfigStore.instance().store(name="realtime_schema", node=schema(RealtimeSettings))
+keep_schema("realtime_schema", RealtimeSettings)
 
 NEVER = 1e6
 """A limit that no run reaches: the loop is timed to its end however late it is."""

@@ -6,7 +6,6 @@ from functools import cache
 from pathlib import Path
 
 from hydra import compose, initialize_config_dir
-from hydra.core.config_store import ConfigStore
 from omegaconf import DictConfig, OmegaConf
 
 from apcc_torch.composition.arm_file import arm_override, spelled
@@ -15,15 +14,16 @@ from apcc_torch.composition.evaluate import EvaluateSettings
 from apcc_torch.composition.identify import IdentifySettings
 from apcc_torch.composition.realtime import RealtimeSettings
 from apcc_torch.composition.run_settings import SimulateSettings
-from apcc_torch.composition.schema import schema, typed
+from apcc_torch.composition.schema import typed
 from apcc_torch.conf_path import conf_path
 from apcc_torch.recordings.data_set import set_names
 from apcc_torch.settings import Settings
+from apcc_torch.sweeps.schemas import keep_schema
 
-ConfigStore.instance().store(name="simulate_schema", node=schema(SimulateSettings))
-ConfigStore.instance().store(name="realtime_schema", node=schema(RealtimeSettings))
-ConfigStore.instance().store(name="identify_schema", node=schema(IdentifySettings))
-ConfigStore.instance().store(name="evaluate_schema", node=schema(EvaluateSettings))
+keep_schema("simulate_schema", SimulateSettings)
+keep_schema("realtime_schema", RealtimeSettings)
+keep_schema("identify_schema", IdentifySettings)
+keep_schema("evaluate_schema", EvaluateSettings)
 
 # Experiments that only the program for an arm, real or simulated, can run.
 ON_AN_ARM = {"calibration", "experiment_1", "experiment_2"}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import os
+import signal
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
@@ -16,6 +17,9 @@ from skips import no_recording, pytest_make_collect_report, pytest_runtest_maker
 
 # Tensors are tiny here: threads cost more than they bring, and parallel test workers would compete.
 torch.set_num_threads(1)
+
+# Ignored where a shell starts the tests in its background; tests send it, to themselves and to what they start.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 # Files of few but long tests: none of them is to run alone at the end.
 LONG = (

@@ -94,13 +94,19 @@ def test_help_teaches(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFix
         ('experiments.common=["controller.gama=1"]', "controller.gama is no setting"),
         ('experiments.adaptive=["adaptation=none","adaptation.rate=1"]', "adaptation.rate is read by nothing"),
         ("grid.comparisons.A.runs.run_1.standard=dynamic_run_7", "dynamic_run_7"),
-        ("grid.comparisons.A.runs.run_1={standard: dynamic_run_1, adaptive: robot_2}", "same experiment.setpoints"),
     ],
 )
 def test_wrong_settings_end_in_one_sentence(
     argument: str, sentence: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     refused([argument], tmp_path, monkeypatch, caplog, sentence)
+
+
+def test_runs_of_other_set_points_are_not_compared(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    pair = "grid.comparisons.A.runs.run_2={standard: dynamic_run_2, adaptive: robot_2}"
+    refused([pair, *RUN_2], tmp_path, monkeypatch, caplog, "same experiment.setpoints")
 
 
 UNREAD = [

@@ -118,56 +118,72 @@ def own(name: str) -> str | None:
     return inner
 
 
+@cache
+def all_imports(module: str) -> frozenset[str]:
+    """The full dotted names that a module imports anywhere."""
+    return frozenset(name for node in ast.walk(tree(module)) for name in imported(node, module))
+
+
 def own_imports(module: str) -> set[str]:
-    names = (name for node in ast.walk(tree(module)) for name in imported(node, module))
-    return {target for target in map(own, names) if target is not None}
+    return {target for target in map(own, all_imports(module)) if target is not None}
 
 
-every_module = pytest.mark.parametrize("module", modules(), ids=lambda module: module or PACKAGE)
+def test_every_module_has_a_layer() -> None:
+    missing = [module for module in modules() if unit_of(module) is None]
+    assert not missing, f"{missing} have no line in LAYERS"
 
 
-@every_module
-def test_has_a_layer(module: str) -> None:
-    assert unit_of(module) is not None, f"{module} has no line in LAYERS"
+def test_imports_point_down() -> None:
+    wrong = []
+    for module in modules():
+        unit = unit_of(module)
+        assert unit is not None
+        for target in own_imports(module):
+            to = unit_of(target)
+            assert to is not None, f"{module} imports {target}, which has no line in LAYERS"
+            if to != unit and LEVEL[to] >= LEVEL[unit]:
+                wrong.append(f"{module or PACKAGE} must not import {target or PACKAGE}")
+    assert not wrong, "\n".join(wrong)
 
 
-@every_module
-def test_imports_point_down(module: str) -> None:
-    unit = unit_of(module)
-    assert unit is not None
-    targets = own_imports(module)
-    unplaced = {target for target in targets if unit_of(target) is None}
-    assert not unplaced, f"{module} imports {unplaced}, which have no line in LAYERS"
-    wrong = {target or PACKAGE for target in targets if (to := unit_of(target)) != unit and LEVEL[to] >= LEVEL[unit]}
-    assert not wrong, f"{module or PACKAGE} must not import {sorted(wrong)}"
+def test_units_that_stay_apart() -> None:
+    wrong = [
+        f"{module} must do without {target}"
+        for module in modules()
+        for target in own_imports(module)
+        if unit_of(target) in APART.get(unit_of(module) or "", ())
+    ]
+    assert not wrong, "\n".join(wrong)
 
 
-@every_module
-def test_units_that_stay_apart(module: str) -> None:
-    unit = unit_of(module) or ""
-    wrong = {target for target in own_imports(module) if unit_of(target) in APART.get(unit, ())}
-    assert not wrong, f"{module} must do without {sorted(wrong)}"
+def test_restricted_libraries() -> None:
+    wrong = [
+        f"{module or PACKAGE} must not import {library}"
+        for module in modules()
+        for library in {name.partition(".")[0] for name in all_imports(module)} & RESTRICTED.keys()
+        if unit_of(module) not in RESTRICTED[library]
+    ]
+    assert not wrong, "\n".join(wrong)
 
 
-@every_module
-def test_restricted_libraries(module: str) -> None:
-    tops = {name.partition(".")[0] for node in ast.walk(tree(module)) for name in imported(node, module)}
-    wrong = {library for library, allowed in RESTRICTED.items() if library in tops and unit_of(module) not in allowed}
-    assert not wrong, f"{module or PACKAGE} must not import {sorted(wrong)}"
+def test_no_own_import_inside_a_function() -> None:
+    wrong = []
+    for module in modules():
+        nodes = ast.walk(tree(module))
+        functions = (node for node in nodes if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef))
+        inner = (node for function in functions for node in ast.walk(function))
+        lines = {node.lineno for node in inner if any(own(name) is not None for name in imported(node, module))}
+        if lines:
+            wrong.append(f"{module or PACKAGE} imports our own modules inside a function at lines {sorted(lines)}")
+    assert not wrong, "\n".join(wrong)
 
 
-@every_module
-def test_no_own_import_inside_a_function(module: str) -> None:
-    functions = (node for node in ast.walk(tree(module)) if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef))
-    inner = (node for function in functions for node in ast.walk(function))
-    lines = {node.lineno for node in inner if any(own(name) is not None for name in imported(node, module))}
-    assert not lines, f"{module or PACKAGE} imports our own modules inside a function at lines {sorted(lines)}"
-
-
-@every_module
-def test_file_is_short(module: str) -> None:
-    lines = len(modules()[module].read_text(encoding="utf-8").splitlines())
-    assert lines <= MAX_LINES, f"{modules()[module].name} has {lines} lines; split it by nouns"
+def test_every_file_is_short() -> None:
+    lines = {module: len(path.read_text(encoding="utf-8").splitlines()) for module, path in modules().items()}
+    wrong = [
+        f"{modules()[module].name} has {n} lines; split it by nouns" for module, n in lines.items() if n > MAX_LINES
+    ]
+    assert not wrong, "\n".join(wrong)
 
 
 def test_no_import_cycle() -> None:

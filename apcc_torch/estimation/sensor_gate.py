@@ -289,18 +289,3 @@ def gate_recording(gate: SensorGate, T: Tensor, tracked: Tensor, times: Tensor) 
         held.append(state.poses())
         verdicts.append(verdict)
     return torch.stack(held), GateVerdict(*(torch.stack(parts) for parts in zip(*verdicts, strict=True)))
-
-
-def count_reasons(verdict: GateVerdict) -> dict[str, list[int]]:
-    """How often each reason fell on each sensor, over all leading dimensions.
-
-    Returns:
-        "position_jump", "orientation_twisted", ... -> k counts, for the reasons that occurred.
-    """
-    counts = {}
-    for what, codes in (("position", verdict.position_reason), ("orientation", verdict.orientation_reason)):
-        for reason in list(Reason)[1:]:
-            each = (codes == reason).reshape(-1, codes.shape[-1]).sum(0).tolist()
-            if any(each):
-                counts[f"{what}_{reason.name.lower()}"] = each
-    return counts

@@ -10,6 +10,7 @@ from typing import Any
 
 from apcc_torch.experiments.dynamic import snapshots
 from apcc_torch.paper import regret
+from apcc_torch.paper.law_rows import all_lost
 from apcc_torch.paper.outcomes import HELD_OUT, SINGLE, Outcome, Outcomes
 from apcc_torch.report import dynamic as figures
 from apcc_torch.report import style
@@ -105,9 +106,9 @@ def save_law_figure(outcomes: Outcomes, about: Mapping[str, str], folder: Path) 
 
 
 def _reached(outcome: Outcome) -> tuple[float, float]:
-    """Mean shape error, mm, and mean Psi, cm; NaN where all runs diverged, for then they say when that was."""
+    """Mean shape error, mm, and mean Psi, cm; NaN where all runs diverged."""
     found = outcome.metrics
-    if found["diverged_rows"] == found["rows"]:
+    if all_lost(found):
         return nan, nan
     return found["shape_error_mean_mm"], found["psi_mean_cm"]
 

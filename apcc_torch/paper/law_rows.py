@@ -23,9 +23,9 @@ LOST = "diverged_rows"
 """Metric that says of how many runs nothing else does."""
 
 
-def all_lost(cells: Mapping[str, Mapping[str, float | None]], row: str) -> bool:
-    """Whether every run of a law diverged: its other numbers tell when that was, and change with the last digit."""
-    return cells[LOST][row] == cells["rows"][row]
+def all_lost(found: Mapping[str, float | None]) -> bool:
+    """Whether every run of a law diverged: its other metrics tell when that was, and change with the last digit."""
+    return found[LOST] == found["rows"]
 
 
 def law_rows(cells: Mapping[str, Mapping[str, float | None]], about: Mapping[str, str]) -> list[list[str]]:
@@ -37,10 +37,10 @@ def law_rows(cells: Mapping[str, Mapping[str, float | None]], about: Mapping[str
     """
     lines = [["law", *(heading for heading, _ in COLUMNS.values())]]
     for row, meaning in about.items():
-        line = [meaning]
+        line, lost = [meaning], all_lost({name: cells[name][row] for name in (LOST, "rows")})
         for metric, (_, form) in COLUMNS.items():
             value = cells[metric][row]
-            if metric != LOST and all_lost(cells, row):
+            if lost and metric != LOST:
                 value = None
             line.append("-" if value is None else form.format(IN_UNITS.get(metric, 1.0) * value))
         lines.append(line)

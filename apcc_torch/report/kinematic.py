@@ -76,7 +76,6 @@ def convergence_figure(
     backbone: KinematicModel,
     end: float = 3.0,
     count: int = 6,
-    shape_error: Tensor | None = None,
     others: KinematicLog | None = None,
 ) -> Figure:
     """The four-way panel of the adaptive controller. Fig. 7 [Dalenberg].
@@ -91,7 +90,6 @@ def convergence_figure(
         backbone: The arm.
         end: Last moment of (a), s.
         count: Moments in (a).
-        shape_error: (T,) m, where it is known; None computes it.
         others: (T', R, ...) rows from other first estimates, drawn pale in (b) to (d).
 
     Raises:
@@ -105,8 +103,7 @@ def convergence_figure(
     panels = [figure.add_subplot(lower[0, c]) for c in range(3)]
     draw_tip_error(panels[0], log, others)
     draw_length(panels[1], log, pi, backbone, others)
-    if shape_error is None:
-        shape_error = backbone_error(backbone, log.q_true, pi, backbone, log.q_bar, log.pi_hat)
+    shape_error = backbone_error(backbone, log.q_true, pi, backbone, log.q_bar, log.pi_hat)
     draw_shape_error(panels[2], log, shape_error, others, (pi, backbone))
     for ax, title in zip(panels, ("(b) end-effector error", "(c) total length", "(d) shape error"), strict=True):
         ax.set_title(title, fontsize=style.TITLE, color=style.INK, loc="left", pad=8)

@@ -31,17 +31,18 @@ def whole(run: str) -> SimulateSettings:
     return composed(*RUNS[run])
 
 
-def leaves(settings: Settings, path: str = "") -> Iterator[tuple[str, About, str]]:
-    """(key, what is known, annotation) of every key that holds no part."""
+def leaves(settings: Settings, path: str = "") -> Iterator[tuple[type[Settings], str, About, str]]:
+    """(its class, key, what is known, annotation) of every key that holds no part."""
     for each in keys(type(settings)):
         value = getattr(settings, each.name)
         if isinstance(value, Settings):
             yield from leaves(value, f"{path}{each.name}.")
         elif about_of(each).base is None and "Settings" not in str(each.type):
-            yield f"{path}{each.name}", about_of(each), str(each.type)
+            yield type(settings), f"{path}{each.name}", about_of(each), str(each.type)
 
 
-LEAVES = [(run, *leaf) for run in RUNS for leaf in leaves(whole(run))]
+# A key of the same class says the same in every run.
+LEAVES = list({(holder, key): (run, key, *leaf) for run in RUNS for holder, key, *leaf in leaves(whole(run))}.values())
 
 
 def refused(run: str, key: str, value: Any) -> ApccError:

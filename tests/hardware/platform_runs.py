@@ -26,7 +26,7 @@ PATIENT = (
     "guards.sensing.max_age=100", "guards.sensing.stale=100", "guards.sensing.dropout=100",
     "guards.sensing.gate.max_speed=100", "guards.sensing.gate.max_angular_rate=1000", "guards.max_error=null",
     "hardware.sensor.timeout=30", "calibration.frames=5", "calibration.timeout=60", "view=false",
-    "experiment.duration=100", "compile=off",
+    "experiment.duration=100", "compile=off", "figures=false",
 )  # fmt: skip
 SLOW = "controller.K=0.02"  # a run that does not arrive before something happens to it
 DEADLINE = 120.0  # s for what takes one

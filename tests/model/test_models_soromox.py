@@ -19,6 +19,7 @@ from laws import generator
 
 jax = pytest.importorskip("jax")
 jax.config.update("jax_enable_x64", True)
+jax.config.update("jax_disable_most_optimizations", True)  # each function runs a few times: building it is what takes
 pytest.importorskip("soromox")
 
 from soromox.systems.components import JointSpec, LinkSpec  # noqa: E402
@@ -55,11 +56,13 @@ def numbers(value: Any) -> Tensor:
 def compare(model: KinematicModel, theirs: Any, change: Tensor, q: Tensor, atol: float) -> None:
     """Poses relative to the base and body Jacobians, in our axes and for our coordinates; change: theirs of ours."""
     q_theirs = jax.numpy.array((change @ q).numpy())
-    base = numbers(theirs.forward_kinematics(q_theirs, 0.0))
+    # Arrays: a function is built once for all of them, and anew for each plain number.
+    start, *places = jax.numpy.array([0.0, *X.tolist()])
+    base = numbers(theirs.forward_kinematics(q_theirs, start))
     pose, body = model.pose_and_body_jacobian(q, LENGTHS, *decouple(X, LENGTHS))
     turn = torch.eye(4, dtype=D)
     turn[:3, :3] = AXES
-    for i, s in enumerate(X.tolist()):
+    for i, s in enumerate(places):
         at = se3.inverse(base) @ numbers(theirs.forward_kinematics(q_theirs, s))
         torch.testing.assert_close(pose[i], turn.mT @ at @ turn, rtol=0, atol=atol)
         J = numbers(theirs.jacobian_bodyframe(q_theirs, s))

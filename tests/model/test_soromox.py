@@ -15,6 +15,7 @@ from laws import generator, normal, rotations
 
 jax = pytest.importorskip("jax")
 jax.config.update("jax_enable_x64", True)
+jax.config.update("jax_disable_most_optimizations", True)  # each function runs a few times: building it is what takes
 pytest.importorskip("soromox")
 
 from soromox.systems.components import LinkSpec  # noqa: E402

@@ -42,14 +42,6 @@ def test_curves_hold_the_log(panel: Figure, log: KinematicLog, pi: Tensor, arm: 
     assert shape == pytest.approx(1e3 * np.sqrt((p**2).sum(-1)).mean(-1))
 
 
-def test_a_known_shape_error_is_drawn_as_it_is(
-    log: KinematicLog, pi: Tensor, abscissae: Tensor, arm: PCCBackbone
-) -> None:
-    given = torch.linspace(0.03, 0.01, 41, dtype=torch.float64)
-    figure = kinematic.convergence_figure(log, pi, abscissae, arm, count=2, shape_error=given)
-    assert axes_with(figure, "shape").lines[0].get_ydata() == pytest.approx(1e3 * given.numpy())
-
-
 def test_shapes_and_sensors_are_those_of_the_moments(
     panel: Figure, log: KinematicLog, pi: Tensor, abscissae: Tensor, arm: PCCBackbone
 ) -> None:

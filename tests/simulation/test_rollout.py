@@ -160,7 +160,7 @@ def used(run: Any) -> tuple[list[Tensor], list[Tensor], int]:
 
 def runs(checkpointed: bool) -> dict[str, Any]:
     at = {"checkpointed": checkpointed}
-    settings = DynamicSettings(duration=0.4, control_rate=50.0, **at)
+    settings = DynamicSettings(duration=0.24, control_rate=50.0, **at)
     noisy = PoseSensors(1e-3, 5e-3, delay=1, dropout=0.1)
 
     def in_motion(given: dict[str, Tensor]) -> Any:
@@ -169,7 +169,7 @@ def runs(checkpointed: bool) -> dict[str, Any]:
         return simulate_dynamic(arm, c, noisy, SetPoint(TARGET), PI, settings, generator(1))
 
     return {
-        "feedback": lambda given: simulate_feedback(controller(given), PI, PI_HAT, PATH, 0.4, 50.0, **at),
+        "feedback": lambda given: simulate_feedback(controller(given), PI, PI_HAT, PATH, 0.24, 50.0, **at),
         "dynamic": in_motion,
     }
 
@@ -183,7 +183,7 @@ def test_checkpointed_is_the_same_and_keeps_less(name: str) -> None:
     assert any(float(gradient.abs().max()) > 0.0 for gradient in gradients)
     for have, want in zip(regained, gradients, strict=True):
         torch.testing.assert_close(have, want, rtol=1e-9, atol=1e-12)
-    # Segments of 4 of some 20 periods: what lives at once is one segment's graph, the states and the log.
+    # Segments of 3 of some 12 periods: what lives at once is one segment's graph, the states and the log.
     assert part < 0.4 * whole
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 
 
 @dataclass
@@ -52,7 +52,3 @@ class Counts:
     def copy(self) -> Counts:
         """These counts as they are now."""
         return copy.deepcopy(self)
-
-    def as_dict(self) -> dict[str, object]:
-        """Plain values."""
-        return asdict(self)

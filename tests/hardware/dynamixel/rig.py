@@ -27,7 +27,7 @@ def settings(port: Path, **changes: Any) -> DynamixelSettings:
         "lower": LOWER,
         "upper": (0.0,) * 9,
         "bus_watchdog": 2.0,
-        "reply_timeout": 0.25,
+        "reply_timeout": 0.8,
         "gripper": GripperSettings(id=GRIPPER, open_angle=1.0, closed_angle=2.0),
     }
     return DynamixelSettings(**(base | changes))

@@ -85,11 +85,11 @@ def test_spoilt_replies(armed: DynamixelActuator, emulator: ServoEmulator, fault
 
 
 def test_a_late_reply_is_not_taken_for_the_next(armed: DynamixelActuator, emulator: ServoEmulator) -> None:
-    emulator.do("late", MOTOR, count=1, amount=0.4)
+    emulator.do("late", MOTOR, count=1, amount=1.0)
     with pytest.raises(CommunicationError, match=NAME):
         armed.read()
     emulator.do("load", MOTOR, current=77)
-    time.sleep(0.3)
+    time.sleep(0.5)
     assert armed.read().raw["current"][3] == 77
 
 
