@@ -10,11 +10,17 @@ from apcc_torch.model.arm import Arm
 from apcc_torch.model.table import table
 from apcc_torch.spread import spread
 
+STEPS = 40
+"""Most steps of Newton's method; of a convex energy that is made of parabolas it ends after a few."""
+SHARES = 0.5 ** torch.arange(12)
+"""Of a step, the one that lowers the energy most is taken."""
+
 
 def strain_at_rest(arm: Arm) -> Tensor:
     """Bends, rad, and elongations, m, of an arm's sections (..., n) where its inputs are zero, without its weight.
 
-    A tendon with a pre-stretch s pulls with k (s + B^T q), so (K + B k B^T) q = K q_rest - B k s over the taut ones.
+    The least of the elastic energy of arm and tendons, (q - q_rest)^T K (q - q_rest) / 2 + sum k max(s + B^T q, 0)^2 / 2
+    with the pre-stretch s and the stiffness k of the tendons. Carries no gradient.
 
     Args:
         arm: Its rest bends, stiffness, tendons and their pre-stretch.
@@ -24,13 +30,28 @@ def strain_at_rest(arm: Arm) -> Tensor:
         >>> bool((strain_at_rest(taut)[2::3] < 0).all())
         True
     """
-    lengths = arm.rest_lengths()
-    B = arm.routing().matrix(lengths)
-    axial, bending = (each.to(B) for each in arm.section_stiffness())
-    K = torch.stack(torch.broadcast_tensors(bending, bending, axial), dim=-1).flatten(-2)
-    bends = table("rest_bend", arm.rest_bend, arm.n_sections, 2).to(B)
-    rest = torch.nn.functional.pad(bends, (0, 1)).flatten(-2)
-    stretch = spread("pre_stretch", arm.actuation.pre_stretch, arm.n_tendons).to(B).clamp(min=0.0)
-    pull = B * (spread("stiffness", arm.actuation.stiffness, arm.n_tendons).to(B) * (stretch > 0.0))
-    drawn = K * rest - (pull @ stretch.unsqueeze(-1)).squeeze(-1)
-    return solve_spd(torch.diag_embed(K.expand_as(drawn)) + pull @ B.mT, drawn.unsqueeze(-1)).squeeze(-1)
+    with torch.no_grad():
+        B = arm.routing().matrix(arm.rest_lengths())
+        axial, bending = (each.to(B) for each in arm.section_stiffness())
+        K = torch.stack(torch.broadcast_tensors(bending, bending, axial), dim=-1).flatten(-2)
+        bends = table("rest_bend", arm.rest_bend, arm.n_sections, 2).to(B)
+        rest = torch.nn.functional.pad(bends, (0, 1)).flatten(-2).expand_as(K)
+        k = spread("stiffness", arm.actuation.stiffness, arm.n_tendons).to(B)
+        s = spread("pre_stretch", arm.actuation.pre_stretch, arm.n_tendons).to(B)
+        if bool((s + rest @ B <= 0.0).all()):
+            return rest
+        shares, q = SHARES.to(B).unsqueeze(-1), rest.unsqueeze(-2)
+
+        def stretch(q: Tensor) -> Tensor:
+            return (s + q @ B).clamp(min=0.0)
+
+        for _ in range(STEPS):
+            pulled = stretch(q)
+            slope = K.unsqueeze(-2) * (q - rest.unsqueeze(-2)) + (k * pulled) @ B.mT
+            H = torch.diag_embed(K) + (B * (k * (pulled > 0.0))) @ B.mT
+            trial = q - shares * solve_spd(H, slope.mT).mT
+            elastic = (K.unsqueeze(-2) * (trial - rest.unsqueeze(-2)).square()).sum(-1)
+            energy = elastic + (k * stretch(trial).square()).sum(-1)
+            least = energy.argmin(-1)[..., None, None]
+            q = torch.take_along_dim(trial, least.expand(*least.shape[:-1], trial.shape[-1]), dim=-2)
+        return q.squeeze(-2)
