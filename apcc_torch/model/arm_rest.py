@@ -19,7 +19,7 @@ SHARES = 0.5 ** torch.arange(12)
 def strain_at_rest(arm: Arm) -> Tensor:
     """Bends, rad, and elongations, m, of an arm's sections (..., n) where its inputs are zero, without its weight.
 
-    The least of the elastic energy of arm and tendons, (q - q_rest)^T K (q - q_rest) / 2 + sum k max(s + B^T q, 0)^2 / 2
+    The least of the elastic energy of arm and tendons, (q - q_rest)^T K (q - q_rest) + sum k max(s + B^T q, 0)^2,
     with the pre-stretch s and the stiffness k of the tendons. Carries no gradient.
 
     Args:
