@@ -11,8 +11,9 @@ from torch import Tensor
 from apcc_torch import StateFeedback
 from apcc_torch.composition.build import Builder
 from apcc_torch.composition.run_settings import SimulateSettings
-from apcc_torch.estimation.external_force import BalanceNoise, ForceBalance, Posture
+from apcc_torch.estimation.external_force import BalanceNoise, ForceBalance
 from apcc_torch.estimation.load_from_shape import LoadFromShape
+from apcc_torch.estimation.posture import Posture
 from apcc_torch.experiments.dynamic import simulate
 from apcc_torch.model.abscissae import decouple
 from apcc_torch.model.affine import AffineBackbone

@@ -9,7 +9,8 @@ from torch import Tensor, nn
 
 from apcc_torch.composition.build import Builder
 from apcc_torch.estimation.contact import ContactSearch
-from apcc_torch.estimation.external_force import ForceBalance, Posture
+from apcc_torch.estimation.external_force import ForceBalance
+from apcc_torch.estimation.posture import Posture
 from apcc_torch.native.function import NativeFunction
 
 

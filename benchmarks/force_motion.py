@@ -12,8 +12,8 @@ from tqdm import tqdm
 from apcc_torch import SavitzkyGolay
 from apcc_torch.composition.build import Builder
 from apcc_torch.control.trajectory import SetPoint
-from apcc_torch.estimation.external_force import Posture
 from apcc_torch.estimation.momentum_observer import MomentumObserver
+from apcc_torch.estimation.posture import Posture
 from apcc_torch.native.compiled import compiled
 from apcc_torch.simulation.dynamic import ClosedLoop, DynamicLog
 from apcc_torch.simulation.plant import Plant

@@ -39,7 +39,8 @@ from tqdm import tqdm
 
 from apcc_torch.composition.build import Builder
 from apcc_torch.estimation.contact import ContactSearch
-from apcc_torch.estimation.external_force import ForceBalance, Posture, Tare
+from apcc_torch.estimation.external_force import ForceBalance, Tare
+from apcc_torch.estimation.posture import Posture
 from apcc_torch.files import write_atomically, write_json
 from apcc_torch.model.backbone import PCCBackbone
 

@@ -20,7 +20,8 @@ from torch import Tensor
 
 from apcc_torch import PCCBackbone, SoftArmDynamics, StateFeedback
 from apcc_torch.estimation.contact import Contact, ContactSearch
-from apcc_torch.estimation.external_force import BalanceNoise, ForceBalance, Posture, Tare, tare
+from apcc_torch.estimation.external_force import BalanceNoise, ForceBalance, Tare, tare
+from apcc_torch.estimation.posture import Posture
 from apcc_torch.model.abscissae import decouple
 from apcc_torch.model.affine import AffineBackbone
 from apcc_torch.model.backbone import HANGING

@@ -26,6 +26,7 @@ from apcc_torch.estimation.contact import ContactSearch
 from apcc_torch.estimation.load_from_shape import LoadFromShape
 from apcc_torch.estimation.momentum_observer import MomentumObserver
 from apcc_torch.estimation.pose_filter import PoseFilter
+from apcc_torch.estimation.posture import TendonMechanics
 from apcc_torch.estimation.savitzky_golay import SavitzkyGolay
 from apcc_torch.estimation.sensor_gate import SensorGate
 from apcc_torch.estimation.soft_window import SoftWindow
@@ -154,7 +155,15 @@ CASES: dict[str, Case] = {
         lambda **t: StaticBody(backbone(), **{"density": 1.0, "axial": 10.0, "bending": 0.08, **t}),
         lambda of: of.rest_force(q(), lengths()),
         lambda: scalars(density=1.0, axial=10.0, bending=0.08, gravity=9.0),
-        lambda: {"n_quadrature": 3},
+        lambda: {"n_quadrature": 3, "rest_bend": 0.1 * some(2, 2)},
+    ),
+    "TendonMechanics": Case(
+        lambda **t: TendonMechanics(**{"stiffness": 1e3 + some(6).abs(), "friction": number(0.1), **t}),
+        lambda of: (
+            of.forces(0.01 + some(6).abs(), some(6)),
+            of.rubbed(routing().matrix(lengths()), routing(), q(), lengths(), some(6)),
+        ),
+        lambda: {"stiffness": 2e3 + some(6).abs(), "friction": number(0.2)},
     ),
     "MountedArm": Case(
         lambda **t: MountedArm(RigidMount(URDF, "flange", **t), backbone()),

@@ -18,8 +18,9 @@ from apcc_torch.control.step_io import Measurement, Target
 from apcc_torch.control.task_controller import TaskController
 from apcc_torch.control.task_stack import TaskStack
 from apcc_torch.control.tasks import Task, TaskTarget
-from apcc_torch.estimation.external_force import ForceBalance, Posture
+from apcc_torch.estimation.external_force import ForceBalance
 from apcc_torch.estimation.pose_filter import PoseFilter
+from apcc_torch.estimation.posture import Posture
 from apcc_torch.estimation.savitzky_golay import SavitzkyGolay
 from apcc_torch.estimation.sensor_gate import SensorGate
 from apcc_torch.estimation.state_feedback import StateFeedback

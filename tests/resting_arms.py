@@ -8,7 +8,8 @@ import torch
 from torch import Tensor
 
 from apcc_torch import SoftArmDynamics, StateFeedback
-from apcc_torch.estimation.external_force import ForceBalance, Posture
+from apcc_torch.estimation.external_force import ForceBalance
+from apcc_torch.estimation.posture import Posture
 from apcc_torch.model.abscissae import decouple
 from apcc_torch.model.backbone import PCCBackbone
 from apcc_torch.model.loads import Loads

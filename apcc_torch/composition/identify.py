@@ -38,6 +38,9 @@ GEOMETRY = (
 )
 """Blocks that tell where an arm is whose bends follow from its tendons' lengths."""
 
+OF_LENGTHS = ("pre_stretch", "tendon_stiffness")
+"""Blocks that say what tension a length makes."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class ArmFitSettings(FitSettings):
@@ -97,6 +100,10 @@ def of_a_fit(settings: LearningSettings) -> Unread:
         yield "spread.friction", "fit.slide_travel is zero, there is no friction"
     if settings.fit.history == 1 and settings.spread.damping_ratio:
         yield "spread.damping_ratio", "fit.history is 1, the arm is at rest in every sample"
+    if settings.arm.actuation.sets == "tension":
+        for name in OF_LENGTHS:
+            yield f"spread.{name}", "arm.actuation.sets is tension, no length is told"
+        yield "fit.geometric", "arm.actuation.sets is tension, no length is told"
 
 
 def recorded(settings: LearningSettings) -> tuple[Series, Split]:
@@ -148,6 +155,8 @@ def parameters(settings: LearningSettings) -> Parameters:
         spread = spread.changed(friction=0.0)
     if settings.fit.history == 1 and settings.spread.damping_ratio:
         spread = spread.changed(damping_ratio=0.0)
+    if arm.actuation.sets == "tension":
+        spread = spread.changed(**dict.fromkeys(OF_LENGTHS, 0.0))
     for name, value in {"friction": arm.actuation.friction, "damping_ratio": arm.damping_ratio}.items():
         if getattr(spread, name) and not value:
             raise ConfigError(f"arm.{KEYS[name]} must be positive to be fitted by its ratio; spread.{name}=0 holds it")

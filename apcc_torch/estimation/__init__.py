@@ -5,7 +5,7 @@ from __future__ import annotations
 from apcc_torch.estimation.arc_fit import ArcFit, ArcFitSettings
 from apcc_torch.estimation.best_fit import best_fit
 from apcc_torch.estimation.contact import ContactSearch
-from apcc_torch.estimation.external_force import BalanceNoise, ForceBalance, Posture, tare
+from apcc_torch.estimation.external_force import BalanceNoise, ForceBalance, tare
 from apcc_torch.estimation.feedback import Feedback, FeedbackStatus
 from apcc_torch.estimation.feedback_covariance import feedback_covariance
 from apcc_torch.estimation.load_from_shape import LoadFromShape, ShapeNoise
@@ -13,6 +13,7 @@ from apcc_torch.estimation.loaded_shape import LoadedShape
 from apcc_torch.estimation.loaded_shape_settings import LoadedShapeSettings
 from apcc_torch.estimation.momentum_observer import MomentumObserver
 from apcc_torch.estimation.pose_filter import PoseFilter, PoseFilterSettings
+from apcc_torch.estimation.posture import Posture, TendonMechanics
 from apcc_torch.estimation.rest_calibration import RestCalibration
 from apcc_torch.estimation.savitzky_golay import SavitzkyGolay, SavitzkyGolaySettings
 from apcc_torch.estimation.sensor_gate import Reason, SensorGate, SensorGateSettings, gate_recording
@@ -50,6 +51,7 @@ __all__ = [
     "SoftWindow",
     "StateFeedback",
     "StateFeedbackSettings",
+    "TendonMechanics",
     "best_fit",
     "feedback_covariance",
     "gate_recording",

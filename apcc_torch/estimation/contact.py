@@ -12,7 +12,8 @@ import torch
 from torch import Tensor
 
 from apcc_torch.errors import ConfigError, ValueRangeError
-from apcc_torch.estimation.external_force import ForceBalance, Posture, Tare
+from apcc_torch.estimation.external_force import ForceBalance, Tare
+from apcc_torch.estimation.posture import Posture
 from apcc_torch.estimation.weighted_estimate import EstimateStatus, WeightedEstimate, weighted_estimate
 from apcc_torch.part import Part
 

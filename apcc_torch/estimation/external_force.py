@@ -15,6 +15,7 @@ from torch import Tensor
 
 from apcc_torch.errors import ConfigError
 from apcc_torch.estimation.feedback_covariance import feedback_covariance
+from apcc_torch.estimation.posture import Posture, TendonMechanics
 from apcc_torch.estimation.state_feedback import StateFeedback
 from apcc_torch.estimation.weighted_estimate import WeightedEstimate, weighted_estimate
 from apcc_torch.model.static_body import StaticBody
@@ -46,31 +47,6 @@ class BalanceNoise(NamedTuple):
     tension: Setting = 0.05
     bend: Setting = 0.02
     length: Setting = 0.2
-
-
-class Posture(NamedTuple):
-    """An arm as it is seen.
-
-    q_bar: (..., n) inferred configuration. pi_hat: (..., n_b) rest lengths, m.
-    u: (..., n_a) forces conjugate to tendon length, N (tension is -u); None: nobody measures them.
-    qdot: (..., n) configuration velocity, for the forces of damping, taken as exact; None at rest.
-    payload: (...) known tip mass, kg; None for none.
-
-    Example:
-        >>> Posture(q_bar=torch.zeros(6), pi_hat=torch.tensor([0.2, 0.25]), u=torch.zeros(6)).double().q_bar.dtype
-        torch.float64
-    """
-
-    q_bar: Tensor
-    pi_hat: Tensor
-    u: Tensor | None
-    qdot: Tensor | None = None
-    payload: Tensor | None = None
-
-    def double(self) -> Posture:
-        """The posture in double precision."""
-        u, qdot, payload = (None if part is None else part.double() for part in self[2:])
-        return Posture(self.q_bar.double(), self.pi_hat.double(), u, qdot, payload)
 
 
 class Tare(NamedTuple):
@@ -117,10 +93,12 @@ class ForceBalance(Part):
         damping_ratio: Forces of the material's damping are damping_ratio K qdot, s; they count where qdot is given.
         tendon_damping: Viscous friction of each tendon in its guides, N s/m, likewise.
         tip: Material abscissa of a payload, m; None: the last sensor's.
+        mechanics: Of the tendons, for `Posture.pulled` and `Posture.slide`; None: their forces are told, without
+            friction.
         limit: Largest standard deviation of a force component that counts as determined, N.
 
     Raises:
-        ConfigError: The feedback's model is not the body's.
+        ConfigError: The feedback's model is not the body's; or, later, a posture tells what needs `mechanics`.
         ValueRangeError: A number is out of range.
 
     Example:
@@ -153,6 +131,7 @@ class ForceBalance(Part):
         tendon_damping: Setting = 0.0,
         tip: float | None = None,
         limit: float = 5.0,
+        mechanics: TendonMechanics | None = None,
     ) -> None:
         super().__init__()
         if feedback.backbone.n != body.backbone.n or type(feedback.backbone) is not type(body.backbone):
@@ -163,6 +142,7 @@ class ForceBalance(Part):
         self.body = body
         self.routing = routing
         self.feedback = feedback
+        self.mechanics = mechanics
         self.limit = check_setting("limit", limit)
         hold_numbers(
             self,
@@ -182,7 +162,7 @@ class ForceBalance(Part):
 
     def imbalance(self, posture: Posture, offset: Tensor | None = None) -> Tensor:
         """G + K q_bar - B u (..., n), less `offset`: what external forces must hold, N m and N."""
-        q, pi, u, qdot, payload = posture.double()
+        q, pi, _, qdot, payload, *_ = exact = posture.double()
         r = self.body.rest_force(q, pi)
         B = self._tendons(pi)
         if payload is not None:
@@ -193,8 +173,9 @@ class ForceBalance(Part):
             drag = aligned(self.tendon_damping, 1) * speed
             r = r + aligned(self.damping_ratio, 1) * self.body.stiffness(pi) * qdot
             r = r + (B @ drag.unsqueeze(-1)).squeeze(-1)
-        if u is not None:
-            r = r - (B @ u.unsqueeze(-1)).squeeze(-1)
+        held = self._held(exact, q, B)
+        if held is not None:
+            r = r - held
         if offset is not None:
             r = r - offset.double()
         return r.to(posture.q_bar.dtype)
@@ -220,19 +201,21 @@ class ForceBalance(Part):
             tare: The model's measured error, instead of `BalanceNoise.bend` and `length`.
             mask, angular_mask: (..., k) bool, as in `StateFeedback.forward`.
         """
-        q, pi, u, _, payload = posture.double()
+        q, pi, u, _, payload, pulled, slide = exact = posture.double()
         points = []
         if payload is not None:
             weight = payload * self.body.gravity_acceleration
             points.append((self.tip.to(q), weight.unsqueeze(-1) * self.down.to(q).squeeze(-1)))
         if X is not None and force is not None:
             points.append((X.to(q), force.to(q)))
-        A = self._slope(q, pi, points)
+        A = self._slope(exact, points)
         Q = feedback_covariance(self.feedback, q, pi, self.position_noise, self.angle_noise, mask, angular_mask)
         B = self._tendons(pi)
-        tension = UNKNOWN_TENSION if u is None else self.tension_noise
-        pulled = aligned(tension, 2) * B
-        S = A @ Q @ A.mT + pulled @ pulled.mT
+        tension = UNKNOWN_TENSION if u is None and pulled is None else self.tension_noise
+        loose = aligned(tension, 2) * (
+            B if slide is None else self._told("slide").rubbed(B, self.routing, q, pi, slide)
+        )
+        S = A @ Q @ A.mT + loose @ loose.mT
         if tare is not None:
             S = S + tare.covariance.to(S)
         else:
@@ -309,8 +292,25 @@ class ForceBalance(Part):
         own = self.routing.anchors.dtype
         return self.body.backbone.tendon_matrix(self.routing, pi.to(own)).to(pi.dtype)
 
-    def _slope(self, q: Tensor, pi: Tensor, points: list[tuple[Tensor, Tensor]]) -> Tensor:
-        """d(G + K q - J^T f)/dq (..., n, n) of forces f at points, by central differences: it only weighs."""
+    def _told(self, name: str) -> TendonMechanics:
+        if self.mechanics is None:
+            raise ConfigError(f"posture.{name} needs mechanics, the tendons' stiffness and friction, of the balance")
+        return self.mechanics
+
+    def _held(self, posture: Posture, q: Tensor, B: Tensor) -> Tensor | None:
+        """Generalized force (..., n) of the tendons at q; None where nobody knows it."""
+        u, pulled, slide = posture.u, posture.pulled, posture.slide
+        if u is None:
+            if pulled is None:
+                return None
+            u = self._told("pulled").forces(pulled, (B.mT @ q.unsqueeze(-1)).squeeze(-1))
+        if slide is not None:
+            B = self._told("slide").rubbed(B, self.routing, q, posture.pi_hat, slide)
+        return (B @ u.unsqueeze(-1)).squeeze(-1)
+
+    def _slope(self, posture: Posture, points: list[tuple[Tensor, Tensor]]) -> Tensor:
+        """d(G + K q - B u - J^T f)/dq (..., n, n) of forces f at points, by central differences: it only weighs."""
+        q, pi = posture.q_bar, posture.pi_hat
         n = q.shape[-1]
         batch = batch_shape(q=(q, 1), pi_hat=(pi, 1))
         h = torch.finfo(q.dtype).eps ** (1.0 / 3.0)
@@ -318,6 +318,10 @@ class ForceBalance(Part):
         steps = torch.cat((steps, -steps)).view(2 * n, *[1] * len(batch), n)
         moved, still = q + steps, pi.expand(2 * n, *batch, pi.shape[-1])
         load = self.body.rest_force(moved, still)
+        if posture.pulled is not None or posture.slide is not None:
+            # Forces that are told are not moved by q; of tendons that stretch and rub they are.
+            held = self._held(posture, moved, self._tendons(pi))
+            load = load if held is None else load - held
         for X, f in points:
             J = self.body.point_jacobians(moved, still, X)[..., 0, :, :]
             load = load - (J.mT @ f.unsqueeze(-1)).squeeze(-1)

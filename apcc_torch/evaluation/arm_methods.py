@@ -146,7 +146,8 @@ def identification(known: Known, train: Frames) -> Fit:
     """A fit of the arm to moments of `train`; one serves all methods that start from it."""
     some = known.some(train)
     return known.shared("identified", train, lambda: fit(
-        TendonArm(known.arm), known.parameters, some.drive, some.positions, known.fit, progress=known.say
+        TendonArm(known.arm), known.parameters, some.drive, some.positions, known.fit, progress=known.say,
+        groups=some.groups,
     ))  # fmt: skip
 
 

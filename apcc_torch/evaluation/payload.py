@@ -13,7 +13,7 @@ from apcc_torch.evaluation.frames import Frames
 from apcc_torch.evaluation.leaderboard import Session
 from apcc_torch.evaluation.method import Known
 from apcc_torch.identification.fit import Fit, information
-from apcc_torch.identification.intervals import NORMAL_95
+from apcc_torch.identification.left_out import NORMAL_95
 from apcc_torch.identification.split import thinned
 from apcc_torch.identification.tendon_arm import TIP_MASS, TendonArm
 

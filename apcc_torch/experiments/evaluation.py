@@ -12,6 +12,7 @@ import torch
 from apcc_torch.bars import terminal_bar
 from apcc_torch.composition.evaluate import EvaluateSettings, recordings
 from apcc_torch.composition.identify import parameters
+from apcc_torch.evaluation.coverage import covered
 from apcc_torch.evaluation.leaderboard import Failure, evaluate
 from apcc_torch.evaluation.method import Known
 from apcc_torch.evaluation.methods import METHODS
@@ -88,4 +89,6 @@ def of_motion(settings: EvaluateSettings, say: Say) -> Leaderboard:
     told = [known() for _ in sessions[0].folds]
     scores, failures = evaluate(told, sessions, learned, tasks, chosen, settings.every, watch)
     weighed = payloads(told[0], sessions, learned, 0) if loads and "arm identified" in chosen else []
-    return Leaderboard(settings.data.name, scores, weighed, [*unread, *failures])
+    judged = any(score.method == "arm identified" for score in scores)
+    honest = covered(told, sessions, learned, settings.every) if judged else []
+    return Leaderboard(settings.data.name, scores, weighed, [*unread, *failures], honest)

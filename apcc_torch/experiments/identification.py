@@ -18,7 +18,14 @@ from apcc_torch.experiments.identification_report import report_text, why_not
 from apcc_torch.files import write_atomically, write_json
 from apcc_torch.identification.arm_blocks import account, identified_arm
 from apcc_torch.identification.fit import Fit, FitSettings, fit
-from apcc_torch.identification.intervals import Interval, disagreement, intervals, unknown_directions
+from apcc_torch.identification.intervals import (
+    Interval,
+    coverage,
+    disagreement,
+    half_widths,
+    intervals,
+    unknown_directions,
+)
 from apcc_torch.identification.online import adapt
 from apcc_torch.identification.parameters import Parameters
 from apcc_torch.identification.regression import linear_prediction, mean_prediction
@@ -65,7 +72,8 @@ def identified(task: Task, arm: TendonArm, parameters: Parameters) -> Identified
         DataError: The model has no equilibrium at the first parameters, or none at a sample after the fit.
     """
     given = task.drive.rows(task.used), task.series.positions[task.used]
-    result = fit(arm, parameters, *given, task.settings, progress=task.say)
+    groups = task.series.groups[task.used]
+    result = fit(arm, parameters, *given, task.settings, progress=task.say, groups=groups)
     prediction = arm.predict(task.drive, parameters.values(result.z))
     if not bool(prediction.isfinite().all()):
         row = int((~prediction.isfinite()).nonzero()[0, 0])
@@ -83,6 +91,7 @@ def halves(task: Task, arm: TendonArm, model: Identified) -> float:
             task.series.positions[part],
             FitSettings(rounds=1),
             model.fit.z,
+            groups=task.series.groups[part],
         )
         for part in task.used.chunk(2)
     ]
@@ -99,6 +108,20 @@ def compare(series: Series, parts: Split, used: Tensor) -> dict[str, Tensor]:
     }
 
 
+def of_geometry(settings: IdentifySettings, task: Task, geometric: Parameters) -> dict[str, Tensor]:
+    """Predictions (N, k, 3) of the arm whose bends follow from its tendons' lengths: as built, fitted, online."""
+    series, drive = task.series, task.drive
+    geometry = TendonArm(settings.arm, kinematic=True)
+    found = {"pcc_nominal": geometry.predict(drive, geometric.values(geometric.nominal()))}
+    task.say("PCC geometry")
+    found["pcc_identified"] = identified(task, geometry, geometric).prediction
+    task.say("PCC geometry, online")
+    seen = thinned(series.seen.nonzero()[:, 0], settings.online.samples)
+    online, _ = adapt(geometry, geometric, drive.rows(seen), series.positions[seen], settings.online)
+    found["pcc_online"] = torch.full_like(series.positions, torch.nan).index_copy(0, seen, online)
+    return found
+
+
 def run(settings: IdentifySettings, folder: Path, say: Say) -> tuple[dict[str, float], str]:
     """Fits, compares and writes the run's folder; returns the metrics and the report.
 
@@ -112,18 +135,11 @@ def run(settings: IdentifySettings, folder: Path, say: Say) -> tuple[dict[str, f
     (series, parts), blocks = recorded(settings), parameters(settings)
     used = thinned(parts.training, settings.fit.samples)
     drive = series.drive(settings.fit.history, settings.fit.slide_travel)
-    arm, geometry = TendonArm(settings.arm), TendonArm(settings.arm, kinematic=True)
-    geometric = blocks.holding(settings.fit.geometric)
-
+    arm = TendonArm(settings.arm)
     task = Task(series, drive, used, settings.fit, say)
     predictions = compare(series, parts, used)
-    predictions["pcc_nominal"] = geometry.predict(drive, geometric.values(geometric.nominal()))
-    say("PCC geometry")
-    predictions["pcc_identified"] = identified(task, geometry, geometric).prediction
-    say("PCC geometry, online")
-    seen = thinned(series.seen.nonzero()[:, 0], settings.online.samples)
-    online, _ = adapt(geometry, geometric, drive.rows(seen), series.positions[seen], settings.online)
-    predictions["pcc_online"] = torch.full_like(series.positions, torch.nan).index_copy(0, seen, online)
+    if settings.arm.actuation.sets == "length":
+        predictions |= of_geometry(settings, task, blocks.holding(settings.fit.geometric))
     say("the arm")
     model = identified(task, arm, blocks)
     predictions["arm_nominal"] = arm.predict(drive, blocks.values(blocks.nominal()))
@@ -136,6 +152,12 @@ def run(settings: IdentifySettings, folder: Path, say: Say) -> tuple[dict[str, f
     unknown = unknown_directions(blocks, model.fit)
     information = torch.linalg.eigvalsh(model.fit.information)
     metrics = _metrics(series, parts, predictions, length)
+    within = half_widths(arm, blocks, drive.rows(parts.validation), model.fit)
+    held = series.positions[parts.validation]
+    shares = coverage(model.prediction[parts.validation], within, held)
+    for k, (share, width) in enumerate(zip(shares, within.mean((0, 2)), strict=True)):
+        metrics[f"arm_identified_body_{k + 1}_coverage_percent"] = 100.0 * float(share)
+        metrics[f"arm_identified_body_{k + 1}_half_width_mm"] = 1e3 * float(width)
     metrics |= {
         "training_samples_linear": len(parts.training),
         "training_samples_fit": len(used),
@@ -145,6 +167,7 @@ def run(settings: IdentifySettings, folder: Path, say: Say) -> tuple[dict[str, f
         "noise_mm": 1e3 * model.fit.noise,
         "samples_per_independent_one": model.fit.correlation,
         "interval_disagreement": spread,
+        "movements": model.fit.movements,
         "information_largest": float(information[-1]),
         "information_least": max(float(information[0]), 0.0),
         "unknown_directions": len(unknown),
@@ -161,8 +184,10 @@ def run(settings: IdentifySettings, folder: Path, say: Say) -> tuple[dict[str, f
     result.save(folder / "arm.yaml", f"{origin}\n{account(blocks)}{warning}")
     told = {"arm": result.entries(), "usable": not reasons, "parameters": [_plain(entry, spread) for entry in answer]}
     write_json(folder / "parameters.json", told)
-    held = torch.zeros(len(series), dtype=torch.bool).index_fill(0, parts.validation, True)
-    arrays = {"time": series.times, "inputs": series.inputs, "measured": series.positions, "held_back": held}
+    held_back = torch.zeros(len(series), dtype=torch.bool).index_fill(0, parts.validation, True)
+    half_width = torch.full_like(series.positions, torch.nan).index_copy(0, parts.validation, within)
+    arrays = {"time": series.times, "inputs": series.inputs, "measured": series.positions, "held_back": held_back}
+    arrays["half_width"] = half_width
     RunFolder(folder).write(metrics, arrays | predictions, 0)
     if settings.figures:
         outcome = Outcome(series.positions, predictions, parts.validation, arm.rest(drive, values), answer)

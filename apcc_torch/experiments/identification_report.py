@@ -40,6 +40,16 @@ def why_not(metrics: Mapping[str, float]) -> list[str]:
     return reasons
 
 
+def _covered(metrics: Mapping[str, float]) -> list[str]:
+    """A line a body: how much of what was held back its prediction intervals hold, and their mean half-width."""
+    lines, body = [], 1
+    while (share := metrics.get(f"arm_identified_body_{body}_coverage_percent")) is not None:
+        width = metrics[f"arm_identified_body_{body}_half_width_mm"]
+        lines.append(f"{f'coordinates of body {body}, arm identified':<46} {share:>20.1f} % {width:>14.2f} mm")
+        body += 1
+    return lines
+
+
 def report_text(
     name: str,
     metrics: Mapping[str, float],
@@ -75,6 +85,10 @@ def report_text(
         f"linear regression's error over the arm's: {metrics['linear_over_arm_ratio']:.2f}",
         f"{metrics['samples_per_independent_one']:.1f} neighbouring samples count as one; two halves of the samples "
         f"give parameters {metrics['interval_disagreement']:.2g} standard deviations apart",
+        "",
+        f"{'95 % intervals, by leaving out ' + format(metrics['movements'], '.0f') + ' movements':<46} "
+        f"{'hold of the held back':>22} {'half as wide as':>17}",
+        *_covered(metrics),
         "",
         f"{'parameter':<34} {'nominal':>11} {'fitted':>11} {'95 % from':>11} {'to':>11} {'unit':<7} learned",
     ]

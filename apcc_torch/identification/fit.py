@@ -12,6 +12,7 @@ from torch import Tensor
 from torch.func import jacfwd
 
 from apcc_torch.errors import DataError
+from apcc_torch.identification.left_out import Margins, left_out, leverage, margins, movements_of
 from apcc_torch.identification.parameters import Parameters, Values
 from apcc_torch.identification.tendon_arm import Drive, TendonArm
 from apcc_torch.settings import MANY, OURS, Settings, setting
@@ -32,10 +33,14 @@ class Fit(NamedTuple):
     """The most probable parameters and what the data say about them.
 
     z: (P,) standard scores.
-    information: (P, P) of the data alone, in z; the belief before the fit adds the identity.
+    information: (P, P) of the data alone, in z, if residuals were independent noise; the belief before the fit adds
+        the identity.
     noise: Root of the mean square of one coordinate's residual, m.
     correlation: Number of neighbouring samples that are worth one independent sample.
     steps: Steps taken.
+    movements: Number of movements that were left out in turn, to learn the next two.
+    covariance: (P, P) of z after the fit, whatever the residuals are.
+    margins: Of predictions.
     """
 
     z: Tensor
@@ -43,11 +48,18 @@ class Fit(NamedTuple):
     noise: float
     correlation: float
     steps: int
+    movements: int
+    covariance: Tensor
+    margins: Margins
 
     @property
-    def covariance(self) -> Tensor:
-        """Of z after the fit (P, P)."""
-        return torch.linalg.inv(self.information + torch.eye(len(self.z), dtype=self.z.dtype))
+    def posterior(self) -> Tensor:
+        """Covariance (P, P) that z would have if residuals were independent noise."""
+        return _posterior(self.information)
+
+
+def _posterior(information: Tensor) -> Tensor:
+    return torch.linalg.inv(information + torch.eye(len(information), dtype=information.dtype))
 
 
 def correlation_length(residual: Tensor) -> float:
@@ -77,6 +89,7 @@ def fit(
     settings: FitSettings | None = None,
     z: Tensor | None = None,
     progress: Callable[[str], None] | None = None,
+    groups: Tensor | None = None,
 ) -> Fit:
     """Fits an arm's parameters to measured positions.
 
@@ -91,6 +104,7 @@ def fit(
         settings: See `FitSettings`; None: the defaults.
         z: (P,) where to begin; None: nominal values.
         progress: Called with one line a round.
+        groups: (N,) int64 number of each sample's movement, as far as the recording tells; see `movements_of`.
 
     Raises:
         DataError: The model has no equilibrium where it begins.
@@ -108,7 +122,16 @@ def fit(
         noise, correlation, taken = _size(residual), correlation_length(residual.flatten(1)), taken + count
         if progress is not None:
             progress(f"round {k + 1}: {1e3 * noise * math.sqrt(3.0):.3g} mm after {count} steps")
-    return Fit(z, problem.information(z, noise * math.sqrt(correlation)), noise, correlation, taken)
+    size, N = noise * math.sqrt(correlation), len(positions)
+    J, weight, residual = problem.jacobian(z)
+    rows, weight = J.unflatten(0, (N, -1)), weight.unflatten(0, (N, -1))
+    told = J.mT @ (weight.flatten().unsqueeze(-1) * J) / size**2
+    movement = movements_of(groups, N)
+    without = left_out(rows, weight, residual.flatten(1), size, movement)
+    posterior = _posterior(told)
+    off, spread = (v.view_as(residual) for v in (without.error, leverage(rows, posterior)))
+    covariance = without.covariance(posterior)
+    return Fit(z, told, noise, correlation, taken, len(without.steps), covariance, margins(off, spread))
 
 
 def information(
@@ -121,7 +144,18 @@ def information(
         z: (P,) standard scores.
         size: Of a coordinate's residual, m, with what neighbouring samples repeat.
     """
-    return _Problem(arm, parameters, drive, positions).information(z, size)
+    J, weight, _ = _Problem(arm, parameters, drive, positions).jacobian(z)
+    return J.mT @ (weight.unsqueeze(-1) * J) / size**2
+
+
+def sensitivity(arm: TendonArm, parameters: Parameters, drive: Drive, z: Tensor, q: Tensor) -> Tensor:
+    """Derivatives (N, k, 3, P) of the predicted positions by the scores z (P,), m, at the equilibria q (N, n)."""
+
+    def predicted(at: Tensor) -> Tensor:
+        values: Values = parameters.values(at)
+        return arm.positions(drive, values, q)
+
+    return jacfwd(predicted)(z).detach()
 
 
 def _size(residual: Tensor) -> float:
@@ -142,22 +176,12 @@ class _Problem:
         q = self.arm.rest(self.drive, values, self.q)
         return self.measured - self.arm.bodies(q, values), q
 
-    def jacobian(self, z: Tensor, size: float) -> tuple[Tensor, Tensor, Tensor]:
-        """d(predicted)/dz over `size` (3 k N, P), the robust weight of each row, and the residual (N, k, 3) there."""
+    def jacobian(self, z: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """d(predicted)/dz (3 k N, P), m, the robust weight of each row, and the residual (N, k, 3) there."""
         residual, q = self.residual(z)
         self.q = q
-
-        def predicted(at: Tensor) -> Tensor:
-            values: Values = self.parameters.values(at)
-            return self.arm.positions(self.drive, values, q)
-
-        J = jacfwd(predicted)(z).flatten(0, 2) / size
-        return J, _weights(residual).flatten(), residual
-
-    def information(self, z: Tensor, size: float) -> Tensor:
-        """J^T W J (P, P)."""
-        J, weight, _ = self.jacobian(z, size)
-        return J.mT @ (weight.unsqueeze(-1) * J)
+        J = sensitivity(self.arm, self.parameters, self.drive, z, q)
+        return J.flatten(0, 2), _weights(residual).flatten(), residual
 
 
 def _weights(residual: Tensor) -> Tensor:
@@ -177,7 +201,8 @@ def _descend(problem: _Problem, z: Tensor, size: float, steps: int) -> tuple[Ten
     damping, taken = 1e-2, 0
     eye = torch.eye(len(z), dtype=z.dtype)
     while taken < steps:
-        J, weight, residual = problem.jacobian(z, size)
+        J, weight, residual = problem.jacobian(z)
+        J = J / size
         H = J.mT @ (weight.unsqueeze(-1) * J) + eye
         gradient = J.mT @ (weight * residual.flatten() / size) - z
         now = cost(z, residual, weight)

@@ -4,6 +4,7 @@ The equilibrium is K (q - q_rest) + B T(q) = G(q), with the tension of a tendon 
 the sum of what the actuator pulled, the stretch at the start (pre-tension) and y = B^T q. Capstan friction takes its
 share of T on the way from the motor, by the direction in which the tendon last moved. Inputs act with a lag, the
 damping ratio, as damping D = damping_ratio K makes a slow arm follow its equilibrium. A payload hangs at the tip.
+Where inputs set tensions, T is what they say.
 """
 
 from __future__ import annotations
@@ -13,18 +14,17 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from apcc_torch.errors import ConfigError
 from apcc_torch.identification.parameters import Values
 from apcc_torch.lie import so3
 from apcc_torch.model.abscissae import decouple, whole
 from apcc_torch.model.arc import arc_geometry
 from apcc_torch.model.arm import Arm
 from apcc_torch.model.backbone import PCCBackbone
-from apcc_torch.model.friction import tension_share
+from apcc_torch.model.friction import elastic_tension, tension_share
 from apcc_torch.model.tendons import full_rows
 from apcc_torch.spread import spread
 
-_CORNER = 1e-5
-"""Width of the rounding where a tendon goes slack, m: a tenth of what is read off a servo."""
 _NODES = ((0.1127016653792583, 5 / 18), (0.5, 8 / 18), (0.8872983346207417, 5 / 18))
 """Gauss points of a section, and their shares of its mass."""
 TIP_MASS = "tip_mass"
@@ -72,6 +72,7 @@ class TendonArm:
         self.backbone = PCCBackbone(arm.n_sections, torch.eye(3, dtype=lengths.dtype))
         self.fractions = arm.routing().fractions(lengths)
         self.inputs = list(arm.actuation.driving(arm.n_tendons))
+        self.forced = arm.actuation.sets == "tension"
         self.pulls = spread("pulls", arm.actuation.pulls, arm.n_tendons)
         self.masses = arm.section_masses()
         X_tilde, self.section = decouple(arm.sensor_places(), lengths)
@@ -86,7 +87,7 @@ class TendonArm:
         return (self.fractions.unsqueeze(-2) * rows).flatten(-3, -2)
 
     def pulled(self, drive: Drive, values: Values) -> Tensor:
-        """Length by which each tendon is pulled in at its motor (N, n_a), m, with the stretch it started with."""
+        """What pulls each tendon at its motor (N, n_a): m, with the stretch it started with; or its tension, N."""
         if drive.ages.shape[-1] == 1:
             return self._pulled(drive.history[:, 0], values)
         edges = torch.exp(-drive.ages / values["damping_ratio"])
@@ -95,7 +96,8 @@ class TendonArm:
         return self._pulled((weights.unsqueeze(-1) * drive.history).sum(-2), values)
 
     def _pulled(self, inputs: Tensor, values: Values) -> Tensor:
-        return inputs[:, self.inputs] * self.pulls * values["input_scale"][self.inputs] + values["pre_stretch"]
+        pulled = inputs[:, self.inputs] * self.pulls * values["input_scale"][self.inputs]
+        return pulled if self.forced else pulled + values["pre_stretch"]
 
     def stiffness(self, values: Values) -> Tensor:
         """Diagonal of K (3 n_b,): N m/rad and N/m, of sections in series with a material's EI and EA."""
@@ -106,8 +108,11 @@ class TendonArm:
     def balance(self, q: Tensor, pulled: Tensor, slide: Tensor, values: Values) -> Tensor:
         """Unbalanced generalized force (N, 3 n_b): zero at rest."""
         B = self.matrix(values)
-        stretch = pulled + q @ B
-        tension = 0.5 * values["tendon_stiffness"] * (stretch + torch.sqrt(stretch * stretch + _CORNER * _CORNER))
+        stiffness = values["tendon_stiffness"]
+        if self.forced:
+            tension = elastic_tension(pulled, torch.ones_like(stiffness))  # a motor does not push either
+        else:
+            tension = elastic_tension(pulled + q @ B, stiffness)
         rest = torch.nn.functional.pad(values["rest_bend"].unflatten(-1, (-1, 2)), (0, 1)).flatten(-2)
         elastic = self.stiffness(values) * (q - rest)
         share = tension_share(self.fractions, q, values["friction"] * slide)
@@ -167,7 +172,13 @@ class TendonArm:
             return ((ahead - behind) / (2.0 * _STEP)).mT
 
     def bends(self, pulled: Tensor, values: Values) -> Tensor:
-        """q (N, 3 n_b) of the kinematic model: the bends that best agree with all tendons' lengths, no elongation."""
+        """q (N, 3 n_b) of the kinematic model: the bends that best agree with all tendons' lengths, no elongation.
+
+        Raises:
+            ConfigError: The inputs set tensions.
+        """
+        if self.forced:
+            raise ConfigError("it knows no forces, and the inputs set tensions: actuation.sets is tension")
         bending = self.matrix(values).unflatten(0, (-1, 3))[:, :2].flatten(0, 1)
         q = -pulled @ torch.linalg.pinv(bending)
         return torch.nn.functional.pad(q.unflatten(-1, (-1, 2)), (0, 1)).flatten(-2)

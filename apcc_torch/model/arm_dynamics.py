@@ -9,6 +9,7 @@ import torch
 from torch import Tensor, nn
 
 from apcc_torch.errors import ValueRangeError
+from apcc_torch.model.abscissae import located
 from apcc_torch.model.equation_of_motion import Energy, EquationOfMotion
 from apcc_torch.model.kinematic_model import KinematicModel
 from apcc_torch.model.loads import Loads, Payload
@@ -138,6 +139,8 @@ class ArmDynamics(Part, ABC):
         wrench: Tensor | None = None,
         distributed: Tensor | None = None,
         section_wrenches: Tensor | None = None,
+        places: Tensor | None = None,
+        place_wrenches: Tensor | None = None,
     ) -> Tensor:
         """G(q) less the external loads (..., n), what tau - K q balances at rest; arguments as for `equation`."""
 
@@ -150,6 +153,8 @@ class ArmDynamics(Part, ABC):
         wrench: Tensor | None = None,
         distributed: Tensor | None = None,
         section_wrenches: Tensor | None = None,
+        places: Tensor | None = None,
+        place_wrenches: Tensor | None = None,
     ) -> EquationOfMotion:
         """M and C qdot + G less external loads, in one pass.
 
@@ -160,11 +165,25 @@ class ArmDynamics(Part, ABC):
             wrench: (..., 6) external torque (N m) and force (N) at the tip, world axes.
             distributed: (..., 3) external load per material length, world axes, N/m.
             section_wrenches: (..., n_b, 6) external torque and force at every section's tip, world axes.
+            places: (..., p) material abscissae, m.
+            place_wrenches: (..., p, 6) external torque and force there, world axes.
         """
 
     @abstractmethod
     def energy(self, q: Tensor, qdot: Tensor, payload: Payload = None) -> Energy:
         """Kinetic and potential energy, J; see `Energy`. Heights are measured from the world origin."""
+
+    def less_placed(self, force: Tensor, q: Tensor, loads: Loads) -> Tensor:
+        """A generalized force (..., n) less J(X)^T w of the wrenches w at any places X of the arm at q (..., n)."""
+        if loads.places is None or loads.place_wrenches is None:
+            return force
+        X, w, L0 = loads.places, loads.place_wrenches, self.lengths
+        batch = batch_shape(q=(q, 1), places=(X, 1), place_wrenches=(w, 2), lengths=(L0, 1))
+        q, X, L0 = (value.expand(*batch, value.shape[-1]) for value in (q, X, L0))
+        model = self.kinematics()
+        chain = model.chain_to(q, model.material_points(L0, *located(X, L0)))
+        own = torch.cat([chain.rotation.mT @ part.unsqueeze(-1) for part in w.split(3, dim=-1)], dim=-2)
+        return force - (chain.body_jacobian().mT @ own).squeeze(-1).sum(-2)
 
     def checked(self, payload: Payload, loads: Loads | None = None, **coordinates: Tensor) -> torch.Size:
         """The leading shape of the arm, its coordinates (..., n) and what it bears; raises where they do not fit."""

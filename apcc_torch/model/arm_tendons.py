@@ -75,11 +75,21 @@ class Tendons(Settings):
 class Actuation(Settings):
     """What drives the tendons, in the unit of a recording's inputs; a number for all tendons, or one each."""
 
+    sets: str = setting(
+        "length",
+        "",
+        OURS,
+        "what an input sets: length, that its motor takes in of an elastic tendon; tension, its force at the motor",
+        choices=("length", "tension"),
+    )
     inputs: tuple[int, ...] | None = setting(
         None, "", OURS, "input that drives each tendon, from 0; null: each has its own", least=0
     )
     pulls: Numbers = setting(
-        1.0, "m", OURS, "tendon pulled in per unit of its input; negative where a growing input pays out"
+        1.0,
+        "",
+        OURS,
+        "what a tendon is pulled by per unit of its input, m, or N of tension; negative where a growing input pays out",
     )
     stiffness: Numbers = setting(3000.0, "N/m", OURS, "of a tendon between its motor and its end", above=0)
     pre_stretch: Numbers = setting(0.0, "m", OURS, "stretch of a tendon where inputs are zero; negative: it is slack")
@@ -91,6 +101,21 @@ class Actuation(Settings):
             raise ConfigError(f"actuation.inputs must have {n_tendons} entries, one a tendon, got {len(self.inputs)}")
         for name in ("pulls", "stiffness", "pre_stretch"):
             spread(f"actuation.{name}", getattr(self, name), n_tendons)
+
+    def pulled(self, inputs: Tensor, n_tendons: int) -> Tensor:
+        """Length that each tendon's motor has taken in (..., n_a), m, with the stretch at the start.
+
+        Args:
+            inputs: (..., m) in the unit that `pulls` is for.
+            n_tendons: Number n_a.
+
+        Raises:
+            ConfigError: The inputs set tensions.
+        """
+        if self.sets != "length":
+            raise ConfigError("the inputs of this arm set tensions, not lengths: actuation.sets is tension")
+        pulls, begun = (spread(name, getattr(self, name), n_tendons).to(inputs) for name in ("pulls", "pre_stretch"))
+        return inputs[..., list(self.driving(n_tendons))] * pulls + begun
 
     def driving(self, n_tendons: int) -> tuple[int, ...]:
         """The input that drives each tendon, from 0."""

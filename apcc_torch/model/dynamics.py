@@ -107,15 +107,17 @@ class SoftArmDynamics(ArmDynamics):
         wrench: Tensor | None = None,
         distributed: Tensor | None = None,
         section_wrenches: Tensor | None = None,
+        places: Tensor | None = None,
+        place_wrenches: Tensor | None = None,
     ) -> Tensor:
         """G(q) less the external loads (..., n), what tau - K q balances at rest; arguments as for `forward`."""
-        loads = Loads(wrench, distributed, section_wrenches)
+        loads = Loads(wrench, distributed, section_wrenches, places, place_wrenches)
         (place,), masses = self._state(payload, loads, q=q)
         bend, base = self._bending(place)
         shape = arm_shape(bend, base, [])
         # Gravity is the force that lifts every point, m g along world z, seen from the frame at the section's base.
         forces = masses * (self.gravity_acceleration * shape.frames[2]).unsqueeze(1)
-        return self._loaded(bend, shape, forces, loads)
+        return self.less_placed(self._loaded(bend, shape, forces, loads), q, loads)
 
     def bias(self, q: Tensor, qdot: Tensor, payload: Payload = None) -> Tensor:
         """Coriolis and centrifugal forces C(q, qdot) qdot (..., n).
@@ -161,9 +163,13 @@ class SoftArmDynamics(ArmDynamics):
         wrench: Tensor | None = None,
         distributed: Tensor | None = None,
         section_wrenches: Tensor | None = None,
+        places: Tensor | None = None,
+        place_wrenches: Tensor | None = None,
     ) -> EquationOfMotion:
         """M and C qdot + G less external loads, in one pass; the arguments are those of `forward`."""
-        parts, bias = self._parts(q, qdot, payload, Loads(wrench, distributed, section_wrenches))
+        parts, bias = self._parts(
+            q, qdot, payload, Loads(wrench, distributed, section_wrenches, places, place_wrenches)
+        )
         return EquationOfMotion(assembled(parts), bias)
 
     def forward(
@@ -175,6 +181,8 @@ class SoftArmDynamics(ArmDynamics):
         wrench: Tensor | None = None,
         distributed: Tensor | None = None,
         section_wrenches: Tensor | None = None,
+        places: Tensor | None = None,
+        place_wrenches: Tensor | None = None,
     ) -> Tensor:
         """Accelerations qddot (..., 3 n_b) from Eq. (35) [Dalenberg]; a row that cannot be solved is NaN.
 
@@ -186,9 +194,13 @@ class SoftArmDynamics(ArmDynamics):
             wrench: (..., 6) external torque (N m) and force (N) at the tip, world axes.
             distributed: (..., 3) external load per material length, world axes, N/m.
             section_wrenches: (..., n_b, 6) external torque and force at every section's tip, world axes.
+            places: (..., p) material abscissae, m.
+            place_wrenches: (..., p, 6) external torque and force there, world axes.
         """
         check_tensor("tau", tau, (3 * self.n_sections,))
-        parts, bias = self._parts(q, qdot, payload, Loads(wrench, distributed, section_wrenches))
+        parts, bias = self._parts(
+            q, qdot, payload, Loads(wrench, distributed, section_wrenches, places, place_wrenches)
+        )
         K, D = self.diagonals
         return solved(parts, tau - bias - K * q - D * qdot)  # Eq. (35)
 
@@ -221,7 +233,8 @@ class SoftArmDynamics(ArmDynamics):
         motion = rates(bend, rate, self.powers)
         shape = arm_shape(bend, base, own_momentum(bend, sums) + motion.columns)
         forces = masses * accelerations(bend, motion, shape, rate, self.before, self.gravity_acceleration)
-        return composite(bend, shape, sums, self.before), self._loaded(bend, shape, forces, loads)
+        bias = self._loaded(bend, shape, forces, loads)
+        return composite(bend, shape, sums, self.before), self.less_placed(bias, q, loads)
 
     def _bending(self, place: Tensor) -> tuple[Bending, Tensor]:
         dims = place.dim() - 1

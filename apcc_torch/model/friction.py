@@ -26,6 +26,24 @@ def taut(u: Tensor, smoothing: float = 0.0) -> Tensor:
     return -0.5 * (torch.sqrt(u * u + smoothing * smoothing) - u)
 
 
+CORNER = 1e-5
+"""Width of the rounding where an elastic tendon goes slack, m: a tenth of what is read off a servo."""
+
+
+def elastic_tension(stretch: Tensor, stiffness: Tensor) -> Tensor:
+    """Tension (..., n_a) of elastic tendons that can go slack, N: stiffness times what they are stretched by, or none.
+
+    Args:
+        stretch: (..., n_a) m; negative: slack.
+        stiffness: (..., n_a) N/m.
+
+    Example:
+        >>> elastic_tension(torch.tensor([0.002, -0.001]), torch.tensor([3000.0, 3000.0]))
+        tensor([6.0000e+00, 7.4506e-05])
+    """
+    return 0.5 * stiffness * (stretch + torch.sqrt(stretch * stretch + CORNER * CORNER))
+
+
 @dataclass(frozen=True, kw_only=True)
 class TendonTransmissionSettings(Settings):
     """Settings of `TendonTransmission`."""

@@ -1,4 +1,4 @@
-"""What acts on an arm from outside: a payload, a tip wrench and a distributed load."""
+"""What acts on an arm from outside: a payload, wrenches at the tip or anywhere, and a distributed load."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from apcc_torch.errors import ConfigError
 from apcc_torch.model.inertia import ArmShape, cross, rotate, sum_over
 from apcc_torch.shapes import check_tensor
 
@@ -25,6 +26,10 @@ class Loads(NamedTuple):
     wrench: (..., 6) torque (N m) and force (N) at the tip.
     distributed: (..., 3) force per material length, N/m.
     section_wrenches: (..., n_b, 6) torque and force at every section's tip.
+    places: (..., p) material abscissae, m; place_wrenches: (..., p, 6) torque and force there. Both, or neither.
+
+    Raises:
+        ConfigError: One of the last two is given without the other.
 
     Example:
         >>> pushed = Loads(wrench=torch.tensor([0.0, 0.0, 0.0, 0.1, 0.0, 0.0]).double())
@@ -35,11 +40,16 @@ class Loads(NamedTuple):
     wrench: Tensor | None = None
     distributed: Tensor | None = None
     section_wrenches: Tensor | None = None
+    places: Tensor | None = None
+    place_wrenches: Tensor | None = None
 
     def checked(self, n_b: int) -> dict[str, tuple[Tensor, int]]:
         """The loads that are given, by name, with the number of their trailing dimensions."""
+        if (self.places is None) != (self.place_wrenches is None):
+            raise ConfigError("places and place_wrenches belong together: give both, or neither")
+        p = None if self.places is None else check_tensor("places", self.places, (None,)).shape[-1]
         trailing: dict[str, tuple[int | None, ...]] = {
-            "wrench": (6,), "distributed": (3,), "section_wrenches": (n_b, 6)
+            "wrench": (6,), "distributed": (3,), "section_wrenches": (n_b, 6), "places": (p,), "place_wrenches": (p, 6)
         }  # fmt: skip
         return {
             name: (check_tensor(name, value, trailing[name]), len(trailing[name]))

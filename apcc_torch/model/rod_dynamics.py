@@ -147,11 +147,14 @@ class RodDynamics(ArmDynamics):
         wrench: Tensor | None = None,
         distributed: Tensor | None = None,
         section_wrenches: Tensor | None = None,
+        places: Tensor | None = None,
+        place_wrenches: Tensor | None = None,
     ) -> Tensor:
         """See `ArmDynamics.static_load`."""
-        loads = Loads(wrench, distributed, section_wrenches)
+        loads = Loads(wrench, distributed, section_wrenches, places, place_wrenches)
         bodies, _ = self._bodies(payload, loads, q=q)
-        return self._loaded(bodies, self._weights(bodies), torch.zeros_like(bodies.chain.ends), loads)
+        bias = self._loaded(bodies, self._weights(bodies), torch.zeros_like(bodies.chain.ends), loads)
+        return self.less_placed(bias, q, loads)
 
     def equation(
         self,
@@ -161,9 +164,11 @@ class RodDynamics(ArmDynamics):
         wrench: Tensor | None = None,
         distributed: Tensor | None = None,
         section_wrenches: Tensor | None = None,
+        places: Tensor | None = None,
+        place_wrenches: Tensor | None = None,
     ) -> EquationOfMotion:
         """See `ArmDynamics.equation`."""
-        loads = Loads(wrench, distributed, section_wrenches)
+        loads = Loads(wrench, distributed, section_wrenches, places, place_wrenches)
         bodies, (_, rate) = self._bodies(payload, loads, q=q, qdot=qdot)
         motion = bodies.chain.drift(rate)
         spin, z, lever = motion.spin, bodies.chain.tangents, bodies.levers
@@ -173,7 +178,8 @@ class RodDynamics(ArmDynamics):
         along = (z * motion.spin_rate).sum(-1, keepdim=True) * z
         gyration = (z * spin).sum(-1, keepdim=True) * torch.linalg.cross(spin, z)
         torques = bodies.discs.unsqueeze(-1) * (motion.spin_rate + along + gyration)
-        return EquationOfMotion(self._inertia(bodies), self._loaded(bodies, forces, torques, loads))
+        bias = self._loaded(bodies, forces, torques, loads)
+        return EquationOfMotion(self._inertia(bodies), self.less_placed(bias, q, loads))
 
     @full_precision
     def forward(
@@ -185,10 +191,12 @@ class RodDynamics(ArmDynamics):
         wrench: Tensor | None = None,
         distributed: Tensor | None = None,
         section_wrenches: Tensor | None = None,
+        places: Tensor | None = None,
+        place_wrenches: Tensor | None = None,
     ) -> Tensor:
         """Accelerations qddot (..., n) under tau (..., n); other arguments as for `equation`."""
         check_tensor("tau", tau, (self.n,))
-        M, bias = self.equation(q, qdot, payload, wrench, distributed, section_wrenches)
+        M, bias = self.equation(q, qdot, payload, wrench, distributed, section_wrenches, places, place_wrenches)
         K, D = self.diagonals
         return solve_spd(M, (tau - bias - K * q - D * qdot).unsqueeze(-1)).squeeze(-1)
 

@@ -8,20 +8,24 @@ sections may be of any kinematic model, and the rest lengths may be estimates th
 
 from __future__ import annotations
 
+from typing import Any
+
 import torch
 from torch import Tensor
 
 from apcc_torch.errors import ConfigError, ValueRangeError
 from apcc_torch.model.abscissae import MaterialPoints, decouple, located
+from apcc_torch.model.arm import Arm
 from apcc_torch.model.inertia import quadrature_nodes
 from apcc_torch.model.kinematic_model import KinematicModel
-from apcc_torch.part import Part, hold_numbers
+from apcc_torch.model.table import table
+from apcc_torch.part import Part, hold_numbers, hold_rows
 from apcc_torch.settings import Setting, aligned, check_setting
 from apcc_torch.shapes import batch_shape, check_same, check_tensor
 
 
 class StaticBody(Part):
-    """Weight and elasticity of an arm of the same material all along; each number may be a tensor (...), one a row.
+    """Weight and elasticity of an arm; each number may be a tensor (...), one a row.
 
     Args:
         backbone: The model.
@@ -32,6 +36,8 @@ class StaticBody(Part):
         shear: G A, N; needed where the model has shear.
         gravity: Along world -z, m/s^2.
         n_quadrature: Mass points of each section.
+        per_section: Density and rigidities are tensors (..., n_b), one a section; else the arm is of one material.
+        rest_bend: (..., n_b, 2) bends x and y of the sections without load, rad; None: straight.
 
     Raises:
         ConfigError: The model has a coordinate whose rigidity is not given.
@@ -47,6 +53,7 @@ class StaticBody(Part):
     gravity_acceleration: Setting
     nodes: Tensor
     weights: Tensor
+    rest_bend: Tensor | None
 
     def __init__(
         self,
@@ -58,6 +65,8 @@ class StaticBody(Part):
         shear: Setting | None = None,
         gravity: Setting = 9.81,
         n_quadrature: int = 4,
+        per_section: bool = False,
+        rest_bend: Tensor | None = None,
     ) -> None:
         super().__init__()
         if n_quadrature < 2:
@@ -66,15 +75,43 @@ class StaticBody(Part):
         for name, value in {"density": density, **given}.items():
             if value is not None:
                 check_setting(name, value)
+                if per_section:
+                    check_tensor(name, torch.as_tensor(value), (backbone.n_sections,))
+        if rest_bend is not None:
+            check_tensor("rest_bend", rest_bend, (backbone.n_sections, 2))
         for coordinate in backbone.coordinates.pattern:
             if coordinate.name not in _RIGIDITY:
                 raise ConfigError(f"the elasticity of {coordinate.name!r} is not known")
             if given[_RIGIDITY[coordinate.name][0]] is None:
                 raise ConfigError(f"{_RIGIDITY[coordinate.name][0]} must be given: the model has {coordinate.name}")
         self.backbone = backbone
-        hold_numbers(self, density=density, gravity_acceleration=check_setting("gravity", gravity, zero=True), **given)
+        hold_numbers(self, gravity_acceleration=check_setting("gravity", gravity, zero=True))
+        hold_numbers(self, int(per_section), density=density, **given)
+        hold_rows(self, rest_bend=(rest_bend, 2))
         self.n_quadrature = n_quadrature
+        self.per_section = per_section
         self.derive()
+
+    @staticmethod
+    def of(arm: Arm, backbone: KinematicModel) -> StaticBody:
+        """The body of an arm as its file tells it, such as an identified one: section by section.
+
+        Args:
+            arm: The arm; gravity acts along -z of its `base_rotation`'s world, as the backbone's must.
+            backbone: Of its sections, with bends and elongations alone.
+
+        Example:
+            >>> arm = Arm(lengths=[0.2, 0.25], bending_rigidity=[0.08, 0.05], rest_bend=[[0.1, 0.0], [0.0, 0.0]])
+            >>> StaticBody.of(arm, arm.backbone()).rest_force(torch.zeros(6).double(), arm.rest_lengths())[[0, 2, 5]]
+            tensor([-0.0400, -7.6300, -2.7250], dtype=torch.float64)
+        """
+        lengths = arm.rest_lengths()
+        axial, bending = (stiffness * lengths for stiffness in arm.section_stiffness())
+        bent = None if arm.rest_bend is None else table("rest_bend", arm.rest_bend, arm.n_sections, 2)
+        return StaticBody(
+            backbone, arm.section_masses() / lengths, axial, bending, gravity=arm.placement.acceleration,
+            per_section=True, rest_bend=bent,
+        )  # fmt: skip
 
     def derive(self) -> None:
         """The mass points of a section, without its tip, which `quadrature_nodes` appends for a payload."""
@@ -93,8 +130,8 @@ class StaticBody(Part):
         columns, section = [], 0
         for c in coordinates.pattern * (self.backbone.n // coordinates.period):
             kind, share = _RIGIDITY[c.name]
-            rigidity: Setting = getattr(self, kind)
-            columns.append(share * rigidity / pi_hat[..., section])
+            rigidity: Any = getattr(self, kind)
+            columns.append(share * (rigidity[..., section] if self.per_section else rigidity) / pi_hat[..., section])
             section += c.stretches
         return torch.stack(columns, dim=-1)
 
@@ -112,13 +149,17 @@ class StaticBody(Part):
         q, pi_hat = q.expand(*batch, q.shape[-1]), pi_hat.expand(*batch, n_b)
         X_tilde = self.nodes.to(q).repeat(n_b).expand(*batch, n_b * n_k)
         j = torch.arange(n_b, device=q.device).unsqueeze(-1).expand(n_b, n_k).flatten().expand(*batch, n_b * n_k)
-        mass = aligned(self.density, 1) * (pi_hat.unsqueeze(-1) * self.weights.to(q)).flatten(-2)
+        density: Any = self.density if self.per_section else aligned(self.density, 1)
+        mass = ((density * pi_hat).unsqueeze(-1) * self.weights.to(q)).flatten(-2)
         lift = self._linear(q, self.backbone.material_points(pi_hat, X_tilde, j))[..., 2, :]
         return aligned(self.gravity_acceleration, 1) * (mass.unsqueeze(-1) * lift).sum(-2)
 
     def rest_force(self, q: Tensor, pi_hat: Tensor) -> Tensor:
-        """G(q) + K q (..., n): what tendons and external forces hold at rest; arguments as `gravity`."""
-        return self.gravity(q, pi_hat) + self.stiffness(pi_hat) * q
+        """G(q) + K (q - q_rest) (..., n): what tendons and external forces hold at rest; arguments as `gravity`."""
+        moved = q
+        if self.rest_bend is not None:
+            moved = q - self.backbone.coordinates.from_bends(*self.rest_bend.to(q).unbind(-1))
+        return self.gravity(q, pi_hat) + self.stiffness(pi_hat) * moved
 
     def point_jacobians(self, q: Tensor, pi_hat: Tensor, X: Tensor) -> Tensor:
         """J (..., k, 3, n) of material points in world axes: the virtual work of a force f there is dq J^T f.

@@ -11,6 +11,7 @@ from typing import NamedTuple
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
+from apcc_torch.evaluation.coverage import Covered
 from apcc_torch.evaluation.leaderboard import Failure, Score
 from apcc_torch.evaluation.payload import Estimate
 from apcc_torch.report import style
@@ -20,6 +21,11 @@ from apcc_torch.report.text_table import aligned, as_markdown
 
 COLORS = {"physics": style.BLUE, "learning": style.VERMILION, "physics and learning": style.PURPLE}
 PAYLOAD_TITLE = ("payload at the tip", "estimate g", "95 % from", "to", "true", "mass scale from")
+
+COVERAGE_TITLE = (
+    "95 % prediction intervals of the arm identified, from motors",
+    *("body", "hold %", "least fold %", "half as wide as mm"),
+)
 
 
 class Board(NamedTuple):
@@ -39,6 +45,7 @@ class Leaderboard(NamedTuple):
     scores: Sequence[Score]
     payloads: Sequence[Estimate]
     failures: Sequence[Failure]
+    coverage: Sequence[Covered] = ()
 
     def boards(self) -> list[Board]:
         """Every task: methods by their error, the best first, and in columns the sessions' bodies, mm."""
@@ -58,6 +65,8 @@ class Leaderboard(NamedTuple):
             found.append(Board(f"from {task}", [head, *lines]))
         if self.payloads:
             found.append(Board(PAYLOAD_TITLE[0], [["session", *PAYLOAD_TITLE[1:]], *map(_payload_line, self.payloads)]))
+        if self.coverage:
+            found.append(Board(COVERAGE_TITLE[0], [list(COVERAGE_TITLE[1:]), *map(_coverage_line, self.coverage)]))
         return found
 
     def text(self) -> str:
@@ -87,12 +96,14 @@ class Leaderboard(NamedTuple):
             "data": self.title,
             "tasks": tasks,
             "payload": [estimate._asdict() for estimate in self.payloads],
+            "coverage": [each._asdict() for each in self.coverage],
             "failures": {failure.method: failure.why for failure in self.failures},
         }
 
     def metrics(self) -> dict[str, float]:
         """Flat: "TASK, METHOD, SESSION, body B, mm"."""
-        return {f"{s.task}, {s.method}, {s.session}, body {s.body}, mm": s.mean for s in self.scores}
+        scores = {f"{s.task}, {s.method}, {s.session}, body {s.body}, mm": s.mean for s in self.scores}
+        return scores | {f"95 % intervals, {c.session}, body {c.body}, %": c.mean for c in self.coverage}
 
     def figures(self) -> dict[str, style.Draw]:
         """File name -> what draws it, one a task."""
@@ -156,6 +167,11 @@ class Leaderboard(NamedTuple):
             + "\n".join(parts)
             + f"\n</main>\n<footer>{escape(footer)}</footer>\n</body>\n</html>\n"
         )
+
+
+def _coverage_line(covered: Covered) -> list[str]:
+    numbers = covered.mean, min(covered.folds), covered.half_width
+    return [f"body {covered.body}, {covered.session}", *(f"{value:.1f}" for value in numbers)]
 
 
 def _payload_line(estimate: Estimate) -> list[str]:

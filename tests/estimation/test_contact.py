@@ -7,7 +7,8 @@ import torch
 
 from apcc_torch.errors import ConfigError, ValueRangeError
 from apcc_torch.estimation.contact import ContactSearch
-from apcc_torch.estimation.external_force import BalanceNoise, Posture
+from apcc_torch.estimation.external_force import BalanceNoise
+from apcc_torch.estimation.posture import Posture
 from apcc_torch.model.abscissae import decouple
 from apcc_torch.model.backbone import PCCBackbone
 from arms import HANGING_BASE, PI

@@ -8,7 +8,8 @@ from torch import Tensor
 
 from apcc_torch import StateFeedback
 from apcc_torch.errors import ConfigError, ValueRangeError
-from apcc_torch.estimation.external_force import BalanceNoise, ForceBalance, Posture, tare
+from apcc_torch.estimation.external_force import BalanceNoise, ForceBalance, tare
+from apcc_torch.estimation.posture import Posture
 from apcc_torch.estimation.weighted_estimate import EstimateStatus
 from apcc_torch.model.affine import AffineBackbone
 from apcc_torch.model.backbone import PCCBackbone

@@ -63,6 +63,10 @@ def test_a_strangers_arm_from_the_command_line(tmp_path: Path) -> None:
         assert tip("body 2 and motors", name, "loaded", body=1) < 0.3 < tip(MOTORS, "arm identified", "loaded", body=1)
     for weighed in table["payload"]:
         assert weighed["low_g"] < weighed["true_g"] < weighed["high_g"]
+    # The arm was identified empty, and of the loaded one its intervals do not speak.
+    assert [(each["session"], each["body"]) for each in table["coverage"]] == [("empty", 1), ("empty", 2)]
+    for each in table["coverage"]:
+        assert 88.0 < each["folds"][0] <= 100.0 and 0.1 < each["half_width"] < 1.0
     assert len(list((out / "figures").glob("*.png"))) == len(table["tasks"])
     page = (out / "leaderboard.html").read_text()
     assert page.count("<img") == len(table["tasks"]) and "arm identified, payload followed" in page

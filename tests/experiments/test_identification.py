@@ -14,6 +14,7 @@ import torch
 from apcc_torch.composition import identify as composition
 from apcc_torch.experiments.identification import Task, compare, error, identified
 from apcc_torch.experiments.identification_report import why_not
+from apcc_torch.identification.intervals import coverage, half_widths
 from apcc_torch.identification.split import thinned
 from apcc_torch.identification.tendon_arm import TendonArm
 from apcc_torch.model.arm import Arm
@@ -41,6 +42,14 @@ def test_a_recording_of_ones_own_from_the_command_line(tmp_path: Path) -> None:
 
     arrays = np.load(out / "trajectory.npz")
     assert arrays["held_back"].sum() == metrics["validation_samples"] == 40
+    held = arrays["held_back"]
+    off = np.abs(arrays["measured"] - arrays["arm_identified"])[held]
+    for body in (0, 1):
+        share = 100.0 * (off[:, body] <= arrays["half_width"][held][:, body]).mean()
+        assert metrics[f"arm_identified_body_{body + 1}_coverage_percent"] == pytest.approx(share)
+        assert 88.0 < share <= 100.0  # 120 coordinates of white noise
+        assert metrics[f"arm_identified_body_{body + 1}_half_width_mm"] == pytest.approx(0.2, rel=0.25)
+    assert np.isnan(arrays["half_width"][~held]).all()
     assert metrics["training_samples_linear"] == 120 and metrics["training_samples_fit"] == 100
 
     told = json.loads((out / "parameters.json").read_text())
@@ -88,17 +97,20 @@ def test_wrong_files_end_in_one_sentence(tmp_path: Path) -> None:
 
 
 def _errors(data: Path, arm: str, samples: int) -> tuple[dict[str, float], int, int]:
-    """Tip errors on what was held back, mm, the number of samples of the fit and of linear regression."""
+    """Tip errors on what was held back, mm, and how much of it the arm's intervals hold; samples of both fits."""
     settings = composed_identify(f"arm={arm}", f"data={data}", f"fit.samples={samples}", "fit.rounds=2")
     series, parts = composition.recorded(settings)
     used = thinned(parts.training, samples)
     assert not set(used.tolist()) & set(parts.validation.tolist())
     drive = series.drive(settings.fit.history, settings.fit.slide_travel)
     task = Task(series, drive, used, settings.fit, lambda line: None)
-    model = identified(task, TendonArm(settings.arm), composition.parameters(settings))
+    tendon_arm, blocks = TendonArm(settings.arm), composition.parameters(settings)
+    model = identified(task, tendon_arm, blocks)
     predictions = compare(series, parts, used) | {"arm": model.prediction}
     held = parts.validation
     found = {name: error(series.positions[held, -1], p[held, -1]) for name, p in predictions.items()}
+    within = half_widths(tendon_arm, blocks, drive.rows(held), model.fit)
+    found["covered"] = float(coverage(model.prediction[held], within, series.positions[held])[-1])
     return found, len(used), len(parts.training)
 
 
@@ -106,6 +118,7 @@ def test_real_nine_tendon_arm_is_three_times_better_than_linear_regression(share
     found, _, _ = _errors(shared_data / "ftdcr_v6" / "train.csv", "ftdcr_v6", samples=270)
     assert found["linear"] >= 3.0 * found["arm"]
     assert found["mean"] > found["linear"]
+    assert 0.9 <= found["covered"] <= 0.99
 
 
 def test_real_trunk_beats_linear_regression_with_a_tenth_of_its_samples(shared_data: Path) -> None:
@@ -113,6 +126,7 @@ def test_real_trunk_beats_linear_regression_with_a_tenth_of_its_samples(shared_d
     assert used < trained / 10
     assert found["arm"] < found["linear"]
     assert found["arm"] < found["linear_few"]
+    assert 0.9 <= found["covered"] <= 0.99
 
 
 def test_a_fit_that_must_not_be_used_says_so(tmp_path: Path) -> None:

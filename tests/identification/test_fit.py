@@ -7,7 +7,7 @@ import torch
 
 from apcc_torch.errors import DataError
 from apcc_torch.identification.fit import correlation_length, fit
-from apcc_torch.identification.intervals import disagreement, intervals, unknown_directions
+from apcc_torch.identification.intervals import coverage, disagreement, half_widths, intervals, unknown_directions
 from apcc_torch.identification.tendon_arm import TendonArm
 from identified_arms import SMALL, measured, parameters, random_drive
 
@@ -43,6 +43,48 @@ def test_intervals_hold_the_truth_as_often_as_they_say() -> None:
     # 95 % of 144, and four standard deviations of that count.
     assert total == 144
     assert 0.95 * total - 4 * (total * 0.95 * 0.05) ** 0.5 <= inside <= total
+
+
+def test_prediction_intervals_hold_what_was_held_back_as_often_as_they_say() -> None:
+    blocks = parameters(pre_stretch=5e-4, base_position=5e-3, bending_rigidity=0.3)
+    truth = torch.linspace(-1.0, 1.0, len(blocks), dtype=torch.float64)
+    shares = []
+    for trial in range(6):
+        drive, later = random_drive(60, seed=trial), random_drive(60, seed=50 + trial)
+        found = fit(ARM, blocks, drive, measured(blocks, truth, drive, 3e-4, seed=400 + trial))
+        new = measured(blocks, truth, later, 3e-4, seed=500 + trial)
+        values = blocks.values(found.z)
+        shares.append(coverage(ARM.predict(later, values), half_widths(ARM, blocks, later, found), new))
+    # 1080 coordinates of a body, in intervals that 180 others told each time.
+    held = torch.stack(shares).mean(0)
+    assert float(held.min()) >= 0.92 and float(held.max()) <= 0.98
+
+
+def test_intervals_hold_the_truth_where_errors_last_through_a_movement() -> None:
+    """Ten movements, each of which is shifted as a whole: least squares that takes samples one by one is too sure."""
+    blocks = parameters(pre_stretch=5e-4, base_position=5e-3)
+    generator = torch.Generator().manual_seed(4)
+    inside, alone, predicted = [], [], []
+    for trial in range(12):
+        truth = torch.randn(len(blocks), generator=generator, dtype=torch.float64)
+        groups = torch.arange(50) // 5
+        drive, later = random_drive(50, seed=200 + trial), random_drive(50, seed=300 + trial)
+        shifts = 1e-3 * torch.randn(2, 10, 2, 3, generator=generator, dtype=torch.float64)
+        # A permutation, so that no autocorrelation tells what belongs together.
+        order = torch.randperm(50, generator=generator)
+        old, new = (
+            measured(blocks, truth, d, 1e-4, seed=trial + 20 * k) + shifts[k][groups[order]]
+            for k, d in enumerate((drive, later))
+        )
+        found = fit(ARM, blocks, drive, old, groups=groups[order])
+        values = blocks.values(truth)
+        flat = [float(v) for name in ("pre_stretch", "base_position") for v in values[name]]
+        inside += [entry.low <= true <= entry.high for entry, true in zip(intervals(blocks, found), flat, strict=True)]
+        alone += ((found.z - truth).abs() <= 1.96 * found.posterior.diagonal().sqrt()).tolist()
+        widths = half_widths(ARM, blocks, later, found)
+        predicted.append(coverage(ARM.predict(later, blocks.values(found.z)), widths, new).mean())
+    assert sum(alone) / len(alone) < 0.85 < 0.91 <= sum(inside) / len(inside)
+    assert 0.9 <= float(torch.stack(predicted).mean()) <= 0.99
 
 
 def test_what_cannot_be_told_apart_is_named() -> None:
