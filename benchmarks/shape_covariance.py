@@ -15,7 +15,8 @@ import torch
 from tqdm import tqdm
 
 from apcc_torch import Arm, PCCBackbone, decouple
-from apcc_torch.estimation.loaded_shape import LoadedShape, LoadedShapeSettings
+from apcc_torch.estimation.loaded_shape import LoadedShape
+from apcc_torch.estimation.loaded_shape_settings import LoadedShapeSettings
 from apcc_torch.lie import so3
 from apcc_torch.model.statics import equilibrium
 

@@ -30,7 +30,8 @@ from apcc_torch import (
 from apcc_torch.control.length_bounds import LengthBounds
 from apcc_torch.control.task_integral import TaskIntegral
 from apcc_torch.estimation.arc_fit import ArcFit
-from apcc_torch.estimation.loaded_shape import LoadedShape, LoadedShapeSettings
+from apcc_torch.estimation.loaded_shape import LoadedShape
+from apcc_torch.estimation.loaded_shape_settings import LoadedShapeSettings
 from apcc_torch.estimation.pose_filter import PoseFilter, PoseFilterState
 from apcc_torch.estimation.shape_feedback import ShapeFeedback
 from apcc_torch.lie import se3

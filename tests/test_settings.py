@@ -20,7 +20,8 @@ from apcc_torch.control.task_integral import TaskIntegral
 from apcc_torch.control.trajectory import SineTrajectory
 from apcc_torch.errors import ConfigError, ValueRangeError
 from apcc_torch.estimation.arc_fit import ArcFit
-from apcc_torch.estimation.loaded_shape import LoadedShape, LoadedShapeSettings
+from apcc_torch.estimation.loaded_shape import LoadedShape
+from apcc_torch.estimation.loaded_shape_settings import LoadedShapeSettings
 from apcc_torch.estimation.pose_filter import PoseFilter
 from apcc_torch.estimation.savitzky_golay import SavitzkyGolay
 from apcc_torch.estimation.shape_feedback import ShapeFeedback

@@ -9,7 +9,8 @@ from apcc_torch.estimation.external_force import BalanceNoise, ForceBalance, tar
 from apcc_torch.estimation.feedback import Feedback, FeedbackStatus
 from apcc_torch.estimation.feedback_covariance import feedback_covariance
 from apcc_torch.estimation.load_from_shape import LoadFromShape, ShapeNoise
-from apcc_torch.estimation.loaded_shape import LoadedShape, LoadedShapeSettings
+from apcc_torch.estimation.loaded_shape import LoadedShape
+from apcc_torch.estimation.loaded_shape_settings import LoadedShapeSettings
 from apcc_torch.estimation.momentum_observer import MomentumObserver
 from apcc_torch.estimation.pose_filter import PoseFilter, PoseFilterSettings
 from apcc_torch.estimation.posture import Posture, TendonMechanics

@@ -30,7 +30,12 @@ class ArcFitSettings(Settings):
     """Settings of `ArcFit`."""
 
     curve_noise: Setting = setting(
-        4e-4, "m", OURS, "how well the shape is known, a standard deviation", rows="number", above=0
+        5e-4,
+        "",
+        OURS,
+        "how well the shape is known over the arm's length, a standard deviation",
+        rows="number",
+        above=0,
     )
     length_prior: Setting = setting(
         0.2, "", OURS, "how well a section's length is, over itself, likewise", rows="number", above=0
@@ -40,7 +45,7 @@ class ArcFitSettings(Settings):
 class ArcFit(Part):
     """Fits a model to points of a curve: sections l_i = pi_i + dL_i whose lengths are drawn to the nominal ones,
 
-        V(q) = sum |across_j|^2 / (N sigma^2) + sum ((l_i - L_i) / (rho L_i))^2,
+        V(q) = sum |across_j|^2 / (N (sigma L)^2) + sum ((l_i - L_i) / (rho L_i))^2,  L = sum L_i,
 
     across_j the N points' distances from the model across its backbone, and at the tip the whole distance. A point
     belongs to the model's point that lies as far along it, so how the curve is stretched does not matter. l alone
@@ -97,7 +102,8 @@ class ArcFit(Part):
         # In a point's own axes the backbone runs along z.
         one = torch.ones_like(points[..., :1])
         along = torch.cat((torch.zeros_like(one[..., 1:, :]), one[..., :1, :]), dim=-2)
-        across = torch.cat((one, one, along), dim=-1) / (aligned(self.curve_noise, 2) * N**0.5)
+        noise = aligned(self.curve_noise, 0) * nominal.sum(-1)
+        across = torch.cat((one, one, along), dim=-1) / (noise[..., None, None] * N**0.5)
         off = chain.rotation.mT @ (points - chain.tip).unsqueeze(-1)
         turning, moving = chain.body_jacobian().split(3, dim=-2)
         r = (off.squeeze(-1) * across).flatten(-2)

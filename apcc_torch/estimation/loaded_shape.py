@@ -6,27 +6,32 @@ not. With S spreading a section's strains over its pieces, P = I - S S^+ and K, 
     q_f = S c - P K^-1 (G_0(q_f) + m G_1(q_f)),
 
 c (..., n) the strains of the sections and m the load at the tip, kg: at rest P (K q_f + G) = 0, for tendons pull on
-all pieces of a section alike. (c, m) is the maximum a posteriori of sensor poses, tendon lengths y = B_f^T q_f, wide
-priors on c, and a load that changes slowly.
+all pieces of a section alike. (c, m) is the maximum a posteriori of sensor poses, tendon lengths y = B_f^T q_f, a wide
+prior on c, and a load that changes slowly. Before anything is measured, c is that of the arm as it was built, under
+tensions of which nothing is known: with F = S^T K^-1 B_f, bends scatter as F F^T does. A tendon bends every section
+that it passes, so sections between which no sensor sits bend alike.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any, NamedTuple, Self
 
 import torch
 from torch import Tensor
 
 from apcc_torch.errors import ConfigError
+from apcc_torch.estimation.loaded_shape_settings import LoadedShapeSettings
+from apcc_torch.estimation.tension_prior import tension_information
 from apcc_torch.lie import so3
 from apcc_torch.linalg import scaled_within, solve_spd
 from apcc_torch.model.abscissae import located
 from apcc_torch.model.arm import Arm
+from apcc_torch.model.arm_rest import strain_at_rest
 from apcc_torch.model.dynamics import SoftArmDynamics
 from apcc_torch.model.tendons import TendonRouting
 from apcc_torch.part import Part, hold_rows
-from apcc_torch.settings import OURS, Setting, Settings, aligned, resolved, setting
+from apcc_torch.settings import Setting, aligned, resolved
+from apcc_torch.shapes import check_tensor
 
 LARGEST_SHARE = 0.3
 """How much of the sag is renewed in one step at most: where gravity is strong beside the arm's stiffness, more would
@@ -54,44 +59,18 @@ class ShapeState(NamedTuple):
     misfit: Tensor
 
 
-@dataclass(frozen=True, kw_only=True)
-class LoadedShapeSettings(Settings):
-    """Settings of `LoadedShape`: standard deviations, of what a lab can measure or look up."""
-
-    position_noise: Setting = setting(
-        1e-3, "m", OURS, "of a sensor's coordinates, and of what mechanics leaves unexplained", rows="number", above=0
-    )
-    angular_noise: Setting = setting(0.02, "rad", OURS, "of a sensor's orientation, likewise", rows="number", above=0)
-    tendon_noise: Setting = setting(
-        2e-3, "m", OURS, "of a tendon's length change, with slack and compliance", rows="number", above=0
-    )
-    bend: Setting = setting(3.0, "rad", OURS, "of a section's bend, before it is measured", rows="number", above=0)
-    elongation: Setting = setting(
-        0.25, "", OURS, "of a section's elongation over its rest length, likewise", rows="number", above=0
-    )
-    load: Setting = setting(
-        0.5, "", OURS, "of the load at the tip over the arm's mass, before it is felt", rows="number", above=0
-    )
-    load_rate: Setting = setting(
-        0.3, "1/sqrt(s)", OURS, "how fast that load may change, over the arm's mass", rows="number", above=0
-    )
-    sag_time: Setting = setting(
-        0.05, "s", OURS, "in which the sag follows the shape that it hangs from", rows="number", above=0
-    )
-    refine: int = setting(2, "", OURS, "pieces of each section", least=2, most=20)
-
-
 class LoadedShape(Part):
     """Estimates an arm's shape under an unknown load; see the module's head.
 
     One Gauss-Newton step a sample: the state is the seed of the next. Directions that neither sensors nor tendons tell
-    stay with the priors, so fewer sensors than sections are an ordinary case.
+    stay with the prior, so fewer sensors than sections are an ordinary case.
 
     Args:
         dynamics: The arm as it is believed to be, each section divided into `refine` equal pieces.
         routing: Its tendons.
         abscissae: (..., k) of the sensors, m.
         *settings, **changes: See `LoadedShapeSettings`.
+        rest: (..., n) strains of the sections before anything is measured, rad and m; None for those of a straight arm.
 
     Raises:
         ConfigError: The number of the arm's pieces is no multiple of `refine`.
@@ -108,6 +87,8 @@ class LoadedShape(Part):
     settings_type = LoadedShapeSettings
     abscissae: Tensor
     B: Tensor
+    rest: Tensor
+    information: Tensor
     position_noise: Setting
     angular_noise: Setting
     tendon_noise: Setting
@@ -119,7 +100,13 @@ class LoadedShape(Part):
     refine: int
 
     def __init__(
-        self, dynamics: SoftArmDynamics, routing: TendonRouting, abscissae: Tensor, *settings: Any, **changes: Any
+        self,
+        dynamics: SoftArmDynamics,
+        routing: TendonRouting,
+        abscissae: Tensor,
+        *settings: Any,
+        rest: Tensor | None = None,
+        **changes: Any,
     ) -> None:
         super().__init__()
         s = resolved(LoadedShapeSettings, settings, changes)
@@ -128,13 +115,21 @@ class LoadedShape(Part):
         self.dynamics = dynamics
         self.backbone = dynamics.kinematics()
         self.n_sections = dynamics.n_sections // s.refine
-        hold_rows(self, abscissae=(abscissae, 1), B=(routing.matrix(dynamics.lengths), 2))
+        B = routing.matrix(dynamics.lengths)
+        if rest is None:
+            rest = torch.zeros_like(B[..., : 3 * self.n_sections, 0])
+        hold_rows(
+            self, abscissae=(abscissae, 1), B=(B, 2), rest=(check_tensor("rest", rest, (3 * self.n_sections,)), 1)
+        )
+        information = tension_information(B, dynamics.stiffness_diagonal.to(B), s.refine)
+        hold_rows(self, information=(information, 2))
         self.hold(s)
 
     @classmethod
     def on(cls, arm: Arm, settings: LoadedShapeSettings) -> Self:
         """The estimator of an arm as it is believed to be."""
-        return cls(arm.dynamics(settings.refine), arm.routing(), arm.sensor_places(), settings)
+        rest = strain_at_rest(arm)
+        return cls(arm.dynamics(settings.refine), arm.routing(), arm.sensor_places(), settings, rest=rest)
 
     def initial_state(self, sections: Tensor) -> ShapeState:
         """Sections of which nothing more is known yet.
@@ -230,11 +225,13 @@ class LoadedShape(Part):
         walked = (state.variance + (aligned(self.load_rate, 0) / aligned(self.load, 0)) ** 2 * dt).clamp(max=1.0)
         strain = self.strain(state)
         deviation = self._deviation(strain)
-        weight = torch.cat((deviation.square().reciprocal(), (walked * prior).reciprocal().unsqueeze(-1)), dim=-1)
-        pull = torch.cat((strain / deviation.square(), torch.zeros_like(walked).unsqueeze(-1)), dim=-1)
-        slope = (J.mT @ r.unsqueeze(-1)).squeeze(-1) - pull
+        known = self.information.to(r) / (deviation.unsqueeze(-1) * deviation.unsqueeze(-2))
+        away = (known @ (strain - self.rest.to(r)).unsqueeze(-1)).squeeze(-1)
+        slope = (J.mT @ r.unsqueeze(-1)).squeeze(-1) - torch.nn.functional.pad(away, (0, 1))
+        H = J.mT @ J + torch.nn.functional.pad(known, (0, 1, 0, 1))
+        load = torch.nn.functional.pad((walked * prior).reciprocal().unsqueeze(-1), (slope.shape[-1] - 1, 0))
         misfit = r[..., : 6 * T.shape[-3]].unflatten(-1, (-1, 3)).square().sum(-1).amax(-1)
-        return J.mT @ J + torch.diag_embed(weight), slope, prior, misfit
+        return H + torch.diag_embed(load), slope, prior, misfit
 
     def _moved(self, body: Tensor, state: ShapeState) -> Tensor:
         """A body Jacobian (..., k, 6, n_f) by the strains and the load (..., k, 6, n + 1)."""

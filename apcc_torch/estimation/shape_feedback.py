@@ -10,7 +10,8 @@ from torch import Tensor
 
 from apcc_torch.estimation.arc_fit import ArcFit, ArcFitSettings
 from apcc_torch.estimation.feedback import Inference
-from apcc_torch.estimation.loaded_shape import LoadedShape, LoadedShapeSettings, ShapeState
+from apcc_torch.estimation.loaded_shape import LoadedShape, ShapeState
+from apcc_torch.estimation.loaded_shape_settings import LoadedShapeSettings
 from apcc_torch.estimation.state_feedback import StateFeedback
 from apcc_torch.lie import se3
 from apcc_torch.model.abscissae import MaterialPoints, located

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from apcc_torch.evaluation import (
     arm_methods,
     identified_posterior,
+    law_methods,
     learning,
     residual_methods,
     sections_methods,
@@ -31,6 +32,8 @@ METHODS: dict[str, Callable[[Known], Method]] = {
     "affine through the sensors": sections_methods.AffineThroughSensors,
     "spline through the sensors": sections_methods.Spline,
     "PCC, best lengths in hindsight": sections_methods.BestLengths,
+    "shape under load, as built": law_methods.ShapeAsBuilt,
+    "shape under load, arm identified": law_methods.ShapeIdentified,
     "most probable PCC": sections_methods.Posterior,
     "most probable affine": sections_methods.AffinePosterior,
     "most probable, arm identified": identified_posterior.IdentifiedPosterior,

@@ -162,7 +162,7 @@ class ClosedLoop(Part):
         sensors = self.sensors.initial_state(T)
         u = y if isinstance(self.controller, CompositeController) else None
         now = LoopState(arm, state, sensors, y, u)
-        return now, zero, k, self.sensors.draw(T[(None,) * self.sensors.shared])
+        return now, zero, k, self.sensors.draw(T[(None,) * self.sensors.shared], n_tendons=y.shape[-1])
 
     def forward(self, now: LoopState, time: Tensor, k: Tensor, draws: Draws) -> tuple[LoopState, tuple[Tensor, ...]]:
         """The loop one period later, and the row of the log: `DynamicLog`'s fields without time and divergence.
@@ -176,8 +176,9 @@ class ClosedLoop(Part):
         plant, arm = self.plant, now.plant
         sensors, seen, mask = self.sensors.read(now.sensors, self.poses(arm.arm.q), draws)
         target, lengths = self.trajectory(time), plant.lengths(arm.arm.q)
+        tendons = self.sensors.measured_tendons(lengths, plant.forces(arm, ramp(now.y, now.y, 0.0, self.period)), draws)
         state, command = self.controller(
-            now.controller, Measurement(seen, time, mask, forces=now.u, tendons=lengths), target
+            now.controller, Measurement(seen, time, mask, forces=now.u, tendons=tendons), target
         )
         y = command.y
         assert y is not None  # the controller has a routing
@@ -260,7 +261,7 @@ def simulate_dynamic(
     poses = now.sensors.queue[..., 0, :, :, :]
 
     def arguments(index: int) -> tuple[Tensor, Tensor, Draws]:
-        return time + index * period, k + index, sensors.draw(poses, generator)
+        return time + index * period, k + index, sensors.draw(poses, generator, now.y.shape[-1])
 
     def one(now: LoopState, time: Tensor, k: Tensor, draws: Draws) -> tuple[LoopState, tuple[Tensor, ...]]:
         before = now

@@ -1,4 +1,4 @@
-"""Pose sensors as they are: noise, delay and dropout, with the randomness passed in."""
+"""Sensors as they are: noise, delay and dropout, with the randomness passed in."""
 
 from __future__ import annotations
 
@@ -21,10 +21,14 @@ class SensorState(NamedTuple):
 
 
 class Draws(NamedTuple):
-    """The chance in a reading: standard normal noise (..., k, 6), uniform chances (..., k); None where not used."""
+    """The chance in a reading; None where not used.
+
+    noise: (..., k, 6) standard normal, of the poses. chance: (..., k) uniform. tendons: (..., n_a) standard normal.
+    """
 
     noise: Tensor | None
     chance: Tensor | None
+    tendons: Tensor | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,10 +45,22 @@ class PoseSensorsSettings(Settings):
     dropout: Setting = setting(
         0.0, "", OURS, "chance that a sensor is missing in a reading", rows="number", least=0, below=1, apart=True
     )
+    tendon_noise: Setting = setting(
+        0.0, "m", OURS, "standard deviation of each tendon's measured length", rows="number", least=0, apart=True
+    )
+    tendon_stretch: Setting = setting(
+        0.0,
+        "m/N",
+        OURS,
+        "of each tendon between its motor, which measures it, and the arm",
+        rows="number",
+        least=0,
+        apart=True,
+    )
 
 
 class PoseSensors(Part):
-    """Turns true poses into measured ones.
+    """Turns true poses into measured ones, and the tendons' true lengths into those that their motors measure.
 
     Args:
         *settings, **changes: See `PoseSensorsSettings`; numbers but the delay may be tensors (...), one a row.
@@ -66,6 +82,8 @@ class PoseSensors(Part):
     angular_noise: Setting
     delay: int
     dropout: Setting
+    tendon_noise: Setting
+    tendon_stretch: Setting
 
     def __init__(self, *settings: Any, shared: int = 0, **changes: Any) -> None:
         super().__init__()
@@ -82,20 +100,35 @@ class PoseSensors(Part):
         check_tensor("T", T, (None, 4, 4))
         return SensorState(T.unsqueeze(-4).expand(*T.shape[:-3], self.delay + 1, *T.shape[-3:]))
 
-    def draw(self, T: Tensor, generator: torch.Generator | None = None) -> Draws:
+    def draw(self, T: Tensor, generator: torch.Generator | None = None, n_tendons: int = 0) -> Draws:
         """The chance in one reading of poses with the shape of T (..., k, 4, 4).
 
         Args:
             T: Read for its shape and type alone.
             generator: Where it comes from; None for torch's global one.
+            n_tendons: Tendons that are measured too.
         """
         drawn = T.shape[self.shared : -2]
-        noise = chance = None
+        noise = chance = tendons = None
         if self.noisy:
             noise = torch.randn(*drawn, 6, dtype=T.dtype, device=T.device, generator=generator)
         if is_on(self.dropout):
             chance = torch.rand(drawn, dtype=T.dtype, device=T.device, generator=generator)
-        return Draws(noise, chance)
+        if n_tendons and is_on(self.tendon_noise):
+            tendons = torch.randn(*drawn[:-1], n_tendons, dtype=T.dtype, device=T.device, generator=generator)
+        return Draws(noise, chance, tendons)
+
+    def measured_tendons(self, y: Tensor, u: Tensor, draws: Draws) -> Tensor:
+        """Length changes (..., n_a) m as the motors measure them: a tendon that is pulled is longer than they say.
+
+        Args:
+            y: (..., n_a) true ones along the arm, m.
+            u: (..., n_a) the tendons' forces, N, tension is -u.
+            draws: From `draw`.
+        """
+        if is_on(self.tendon_stretch):
+            y = y + aligned(self.tendon_stretch, 1) * u
+        return y if draws.tendons is None else y + aligned(self.tendon_noise, 1) * draws.tendons
 
     def forward(
         self, state: SensorState, T: Tensor, generator: torch.Generator | None = None

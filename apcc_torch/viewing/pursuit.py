@@ -91,7 +91,8 @@ class Pursuit:
     def step(self) -> None:
         """One control period."""
         with torch.inference_mode():
-            draws = self.loop.sensors.draw(self.now.sensors.queue[..., 0, :, :, :], self.generator)
+            poses, n_tendons = self.now.sensors.queue[..., 0, :, :, :], self.now.y.shape[-1]
+            draws = self.loop.sensors.draw(poses, self.generator, n_tendons)
             time, k = self.zero + self.time, torch.tensor(self.steps)
             self.now, row = self.step_loop(self.now, time, k, draws)
             # As the loop's log has them: q_bar belongs to the rest lengths before the step.

@@ -7,7 +7,8 @@ import torch
 from shape_covariance import ARMS, covered
 
 from apcc_torch import decouple
-from apcc_torch.estimation.loaded_shape import LoadedShape, LoadedShapeSettings
+from apcc_torch.estimation.loaded_shape import LoadedShape
+from apcc_torch.estimation.loaded_shape_settings import LoadedShapeSettings
 
 D = torch.float64
 

@@ -86,6 +86,20 @@ def test_dropout_has_the_rate_asked_for_and_strikes_each_sensor_alone() -> None:
     assert abs(both - rate**2) < 4 * math.sqrt(rate**2 * (1 - rate**2) / N)
 
 
+def test_tendons_are_measured_with_noise_and_shorter_than_they_are_where_they_are_pulled() -> None:
+    N, T = 20_000, torch.eye(4, dtype=torch.float64).expand(1, 4, 4)
+    y, u = torch.tensor([0.01, -0.02], dtype=torch.float64), torch.tensor([-10.0, 0.0], dtype=torch.float64)
+    sensors = PoseSensors(tendon_noise=5e-4, tendon_stretch=1e-4)
+    rows = T.expand(N, 1, 4, 4)
+    seen = sensors.measured_tendons(y, u, sensors.draw(rows, generator(), 2))
+    assert seen.shape == (N, 2)
+    # A tendon under 10 N is a millimetre longer than what its motor has paid out.
+    torch.testing.assert_close(seen.mean(0), y - torch.tensor([1e-3, 0.0]).double(), rtol=0, atol=2e-5)
+    torch.testing.assert_close(seen.std(0), torch.full((2,), 5e-4).double(), rtol=0.05, atol=0)
+    plain = PoseSensors()
+    assert plain.measured_tendons(y, u, plain.draw(rows, generator(), 2)) is y
+
+
 def test_the_generator_alone_decides() -> None:
     sensors, T = PoseSensors(1e-3, 1e-2, 1, 0.3), poses((4, 3), torch.float64, generator())
     torch.manual_seed(1)
