@@ -36,9 +36,9 @@ class IdentifiedPosterior(AffinePosterior):
 
     What is learned beside the arm's parameters is how far q was off that equilibrium: its mean, and the covariance of
     what is left of stretches that identification did not see. It is of bends and of the slopes that the arm's arcs
-    lack, so of positions and orientations together. Sections are as calibrated at rest or as identified, whichever
-    leaves less there. The payload is the most likely one given the shown bodies of all moments that are asked for, and
-    the motors.
+    lack, so of positions and orientations together. Sections are as identified or, where they end at the bodies, as
+    calibrated at rest, whichever leaves less there. The payload is the most likely one given the shown bodies of all
+    moments that are asked for, and the motors.
     """
 
     def answers(self, task: Task) -> bool:
@@ -49,14 +49,18 @@ class IdentifiedPosterior(AffinePosterior):
         """See `Method.fit`."""
         found = identification(self.known, train)
         self.values = {name: value.detach() for name, value in self.known.parameters.values(found.z).items()}
-        self.arm, self.sections = TendonArm(self.known.arm), self.at_rest()
+        self.arm = TendonArm(self.known.arm)
+        candidates = [self.identified_sections()]
+        if self.arm.at_tips and list(self.arm.section) == list(range(len(candidates[0].lengths))):
+            candidates.append(self.at_rest())  # its sections are the arm's, one a body
+        self.sections = candidates[0]
         some = train.at(thinned(torch.arange(len(train)), MOST))
         rest = self.equilibrium(some, self.values)
         some, rest = some.at(settled(rest)), rest[settled(rest)]
         # What no body tells is as in the equilibrium.
         around = wide(self.sections.model)._replace(value=rest)
         tried = []
-        for sections in (self.sections, self.identified_sections()):
+        for sections in candidates:
             q = sections.most_probable(some.positions, some.rotations, [around])
             tried.append((shrunk_covariance(self.missed(some, q, found)), sections, q - rest))
         scatter, self.sections, off = min(tried, key=lambda each: float(each[0].logdet()))

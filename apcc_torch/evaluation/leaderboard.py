@@ -83,6 +83,8 @@ def evaluate(
         found: dict[tuple[Task, str, int], list[float]] = {}
         begun = time.process_time()
         method = methods[name](known[0])
+        if not any(map(method.answers, tasks)):
+            continue
         try:
             for fold in folds:
                 method = methods[name](known[fold])
