@@ -16,10 +16,14 @@ from typing import Any
 from page import between
 
 from apcc_torch.evaluation.leaderboard import Score
+from apcc_torch.evaluation.method import BOTH, LEARNING, PHYSICS
+from apcc_torch.evaluation.methods import METHODS
 from apcc_torch.evaluation.payload import Estimate
 from apcc_torch.files import write_atomically
 from apcc_torch.report.evaluation import Leaderboard
+from apcc_torch.report.text_table import as_markdown
 
+FAMILIES = (PHYSICS, LEARNING, BOTH)
 PAGE = Path(__file__).resolve().parent.parent / "docs" / "reality.md"
 BEGIN, END = "<!-- reality: python benchmarks/reality.py FOLDER... -->", "<!-- /reality -->"
 
@@ -46,7 +50,37 @@ def chapters(folders: Iterable[Path]) -> str:
         if table["payload"]:
             weighed[table["data"]] = [Estimate(**estimate) for estimate in table["payload"]]
     told = (Leaderboard(name, [*found.values()], weighed.get(name, []), []) for name, found in boards.items())
-    return "\n".join(f"### {board.title}\n\n{board.markdown()}\n" for board in told)
+    return "\n".join(chapter(board) for board in told)
+
+
+def chapter(board: Leaderboard) -> str:
+    """The best of each family, what was weighed, and every method to unfold."""
+    lines = [["from", "body", *FAMILIES], *(best(board, task) for task in dict.fromkeys(s.task for s in board.scores))]
+    parts = [f"### {board.title}", as_markdown(lines)]
+    if board.payloads:
+        parts.append(Leaderboard(board.title, [], board.payloads, []).markdown())
+    every = Leaderboard(board.title, board.scores, [], []).markdown()
+    parts += ['<details markdown="1">', f"<summary>Every method on {board.title}</summary>", every, "</details>"]
+    return "\n\n".join(parts) + "\n"
+
+
+def best(board: Leaderboard, task: str) -> list[str]:
+    """A line of the task's last body: of each family the method whose errors over all bodies are least, by session."""
+    own = [score for score in board.scores if score.task == task]
+    last = max(score.body for score in own)
+    cells = []
+    for family in FAMILIES:
+        totals: dict[str, float] = {}
+        for score in own:
+            if score.family == family and not getattr(METHODS.get(score.method), "hindsight", False):
+                totals[score.method] = totals.get(score.method, 0.0) + score.mean
+        if not totals:
+            cells.append("")
+            continue
+        method = min(totals, key=lambda name: totals[name])
+        found = " / ".join(f"{score.mean:.2f}" for score in own if score.method == method and score.body == last)
+        cells.append(f"{method}: {found}")
+    return [task, str(last), *cells]
 
 
 def main() -> None:

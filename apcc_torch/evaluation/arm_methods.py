@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import ClassVar
 
 import torch
@@ -13,6 +14,7 @@ from apcc_torch.evaluation.frames import Frames
 from apcc_torch.evaluation.method import Known, Method
 from apcc_torch.evaluation.tasks import Task
 from apcc_torch.identification.fit import Fit, fit
+from apcc_torch.identification.online import adapt
 from apcc_torch.identification.parameters import Block, Parameters, Values
 from apcc_torch.identification.split import thinned
 from apcc_torch.identification.tendon_arm import TIP_MASS, TendonArm
@@ -37,7 +39,7 @@ class TendonMethod(Method):
 
     def answers(self, task: Task) -> bool:
         """See `Method.answers`."""
-        return task.motors and not task.shown and not task.online
+        return task.motors and not task.shown and not task.online and not task.ahead
 
     def fit(self, train: Frames) -> None:
         """See `Method.fit`."""
@@ -60,9 +62,7 @@ class IdentifiedGeometry(TendonMethod):
 
     def fit(self, train: Frames) -> None:
         """See `Method.fit`."""
-        parameters, some = self.known.geometric, self.known.some(train)
-        found = fit(self.arm, parameters, some.drive, some.positions, self.known.fit, progress=self.known.say)
-        self.values = parameters.values(found.z)
+        self.values = identified_geometry(self.known, train)
 
 
 class FollowedGeometry(TendonMethod):
@@ -88,6 +88,41 @@ class IdentifiedArm(TendonMethod):
     def fit(self, train: Frames) -> None:
         """See `Method.fit`."""
         self.values = identified(self.known, train)
+
+
+class IdentifiedAhead(IdentifiedArm):
+    """The identified arm one step ahead: it moves on by what the arm does, from where it was at the sample before."""
+
+    def answers(self, task: Task) -> bool:
+        """See `Method.answers`."""
+        return task.ahead
+
+    def predict(self, test: Frames, task: Task, seen: Frames | None = None) -> Tensor:
+        """See `Method.predict`."""
+        return moved_on(self.arm, test, self.values)
+
+
+class OnlineGeometry(TendonMethod):
+    """Constant curvature whose geometry, as identified before, is corrected by every scored moment's sample before."""
+
+    kinematic = True
+
+    def answers(self, task: Task) -> bool:
+        """See `Method.answers`."""
+        return task.ahead
+
+    def fit(self, train: Frames) -> None:
+        """See `Method.fit`."""
+        self.values = identified_geometry(self.known, train)
+
+    def predict(self, test: Frames, task: Task, seen: Frames | None = None) -> Tensor:
+        """See `Method.predict`."""
+        parameters = around(self.known.geometric, self.values, tuple(self.values))
+        _, scores = adapt(self.arm, parameters, test.past.drive, test.past.positions[:, 0])
+        rows = (test.at(torch.tensor([n])) for n in range(len(test)))
+        return torch.cat(
+            [positions_at_rest(self.arm, row, parameters.values(z)) for row, z in zip(rows, scores, strict=True)]
+        )
 
 
 class IdentifiedUnderLoad(TendonMethod):
@@ -137,6 +172,25 @@ def positions_at_rest(arm: TendonArm, frames: Frames, values: Values) -> Tensor:
     return found
 
 
+def moved_on(arm: TendonArm, frames: Frames, values: Values) -> Tensor:
+    """Where the bodies are (N, k, 3), m, one step ahead: the model's offset is that of the sample before.
+
+    Raises:
+        DataError: There is a moment at which the arm finds no rest.
+    """
+    before = positions_at_rest(arm, replace(frames, drive=frames.past.drive), values)
+    return frames.past.positions[:, 0] + positions_at_rest(arm, frames, values) - before
+
+
+def identified_geometry(known: Known, train: Frames) -> Values:
+    """The geometry of constant curvature whose bends its tendons' lengths tell, fitted to moments of `train`."""
+    some, arm = known.some(train), TendonArm(known.arm, kinematic=True)
+    found = known.shared("geometry", train, lambda: fit(
+        arm, known.geometric, some.drive, some.positions, known.fit, progress=known.say
+    ))  # fmt: skip
+    return known.geometric.values(found.z)
+
+
 def identified(known: Known, train: Frames) -> Values:
     """The arm's values after `identification`."""
     return known.parameters.values(identification(known, train).z)
@@ -151,8 +205,8 @@ def identification(known: Known, train: Frames) -> Fit:
     ))  # fmt: skip
 
 
-def under_load(parameters: Parameters, values: Values, blocks: Sequence[str]) -> Parameters:
-    """Blocks around identified values, of which those named are free, and the payload at the tip, kg."""
+def around(parameters: Parameters, values: Values, blocks: Sequence[str]) -> Parameters:
+    """The same blocks around other values, of which those named are free."""
     held = {
         name: Block(
             values[name], block.spread if name in blocks else 0.0 * block.spread,
@@ -160,8 +214,14 @@ def under_load(parameters: Parameters, values: Values, blocks: Sequence[str]) ->
         )
         for name, block in parameters.blocks.items()
     }  # fmt: skip
+    return Parameters(held)
+
+
+def under_load(parameters: Parameters, values: Values, blocks: Sequence[str]) -> Parameters:
+    """Blocks around identified values, of which those named are free, and the payload at the tip, kg."""
     one = values["gravity"].new_ones(1)
-    return Parameters(held | {TIP_MASS: Block(0.0 * one, MASS_SPREAD * one, "kg", ("payload",))})
+    payload = Block(0.0 * one, MASS_SPREAD * one, "kg", ("payload",))
+    return Parameters(around(parameters, values, blocks).blocks | {TIP_MASS: payload})
 
 
 def follow(parameters: Parameters, seen: Frames, known: Known, most: int = FOLLOWED) -> Fit:

@@ -7,17 +7,18 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from apcc_torch.evaluation.arm_methods import FOLLOWED, MASS_SPREAD, identified
+from apcc_torch.evaluation.arm_methods import FOLLOWED, MASS_SPREAD, identification
 from apcc_torch.evaluation.frames import Frames
 from apcc_torch.evaluation.learning import Estimator, KernelMethod
-from apcc_torch.evaluation.method import BOTH
-from apcc_torch.evaluation.sections_methods import LEAST_ANGLE, MOST, Posterior, wide
-from apcc_torch.evaluation.shape_posterior import POSITION_NOISE, Gaussian, Sections
+from apcc_torch.evaluation.method import BOTH, Known
+from apcc_torch.evaluation.sections_methods import LEAST_ANGLE, MOST, AffinePosterior, wide
+from apcc_torch.evaluation.shape_posterior import POSITION_NOISE, Gaussian, Sections, shrunk_covariance
 from apcc_torch.evaluation.tasks import Task
+from apcc_torch.identification.fit import Fit, fit
+from apcc_torch.identification.parameters import Values
 from apcc_torch.identification.split import thinned
 from apcc_torch.identification.tendon_arm import TIP_MASS, TendonArm
 from apcc_torch.lie import so3
-from apcc_torch.model.backbone import PCCBackbone
 
 ROUNDS = 8
 """Steps of Gauss-Newton's method for the payload."""
@@ -26,15 +27,18 @@ LARGEST_STEP = 0.1
 WEIGHED = 1e-3
 """Change of the payload that its effect is told by, kg."""
 FOLDS = 3
-"""Stretches of what is learned from, each held back once, that say how far a regression is off."""
+"""Stretches of what is learned from, each held back once, that say how far what is learned is off."""
 MOTORS = Task((), motors=True)
 
 
-class IdentifiedPosterior(Posterior):
-    """Sections of the identified arm, whose q is normal around its equilibrium under the motors.
+class IdentifiedPosterior(AffinePosterior):
+    """Affine sections whose q is normal around the identified arm's equilibrium.
 
-    What is learned beside the arm's parameters is how far q was off that equilibrium: mean and covariance. The payload
-    is the most likely one given the shown bodies of all moments that are asked for, and the motors.
+    What is learned beside the arm's parameters is how far q was off that equilibrium: its mean, and the covariance of
+    what is left of stretches that identification did not see. It is of bends and of the slopes that the arm's arcs
+    lack, so of positions and orientations together. Sections are as identified or, where they end at the bodies, as
+    calibrated at rest, whichever leaves less there. The payload is the most likely one given the shown bodies of all
+    moments that are asked for, and the motors.
     """
 
     def answers(self, task: Task) -> bool:
@@ -43,18 +47,25 @@ class IdentifiedPosterior(Posterior):
 
     def fit(self, train: Frames) -> None:
         """See `Method.fit`."""
-        self.values = {name: value.detach() for name, value in identified(self.known, train).items()}
+        found = identification(self.known, train)
+        self.values = {name: value.detach() for name, value in self.known.parameters.values(found.z).items()}
         self.arm = TendonArm(self.known.arm)
-        self.sections = self.identified_sections()
+        candidates = [self.identified_sections()]
+        if self.arm.at_tips and list(self.arm.section) == list(range(len(candidates[0].lengths))):
+            candidates.append(self.at_rest())  # its sections are the arm's, one a body
+        self.sections = candidates[0]
         some = train.at(thinned(torch.arange(len(train)), MOST))
-        q = self.sections.most_probable(some.positions, some.rotations, [wide(self.sections.model)])
-        rest = self.arm.rest(some.drive, self.values)
-        settled = rest.isfinite().all(-1)
-        self.left = self.learned(some.at(settled.nonzero().squeeze(-1)), (q - rest)[settled])
-
-    def learned(self, frames: Frames, left: Tensor) -> Gaussian:
-        """What is believed of q less its equilibrium, from examples (N, n)."""
-        return Gaussian.of(left, LEAST_ANGLE)
+        rest = self.equilibrium(some, self.values)
+        some, rest = some.at(settled(rest)), rest[settled(rest)]
+        # What no body tells is as in the equilibrium.
+        around = wide(self.sections.model)._replace(value=rest)
+        tried = []
+        for sections in candidates:
+            q = sections.most_probable(some.positions, some.rotations, [around])
+            tried.append((shrunk_covariance(self.missed(some, q, found)), sections, q - rest))
+        scatter, self.sections, off = min(tried, key=lambda each: float(each[0].logdet()))
+        self.learn(some, off)
+        self.left = Gaussian.around(self.mean, scatter, LEAST_ANGLE)
 
     def identified_sections(self) -> Sections:
         """Sections with the identified arm's geometry: its lengths, base, and where bodies sit on it."""
@@ -68,7 +79,39 @@ class IdentifiedPosterior(Posterior):
             told, base_position=self.values["base_position"], base_rotation=base, mount_rotation=turned,
             mount_offset=offset, abscissae=at,
         )  # fmt: skip
-        return Sections(PCCBackbone(len(lengths)), lengths, calibration)
+        return Sections(self.model(len(lengths)), lengths, calibration)
+
+    def missed(self, some: Frames, q: Tensor, found: Fit) -> Tensor:
+        """How far q (N, n) was off what the other stretches tell (M, n), where there is an equilibrium."""
+        folds, missed = torch.arange(len(q)) * FOLDS // len(q), []
+        for fold in range(FOLDS):
+            own, others = ((folds == fold).nonzero().squeeze(-1), (folds != fold).nonzero().squeeze(-1))
+            off = q - self.equilibrium(some, self.without(some.at(others), found))
+            own, others = (index[settled(off[index])] for index in (own, others))
+            missed.append(off[own] - self.told(some.at(others), off[others], some.at(own)))
+        return torch.cat(missed)
+
+    def without(self, others: Frames, found: Fit) -> Values:
+        """The arm's values by these moments alone, one round of identification from those of all."""
+        some, settings = self.known.some(others), self.known.fit.changed(rounds=1)
+        again = self.known.shared("identified without a stretch", some, lambda: fit(
+            self.arm, self.known.parameters, some.drive, some.positions, settings, found.z
+        ))  # fmt: skip
+        return {name: value.detach() for name, value in self.known.parameters.values(again.z).items()}
+
+    def learn(self, frames: Frames, off: Tensor) -> None:
+        """What is believed of q less its equilibrium, from examples (N, n)."""
+        self.mean = off.mean(0)
+
+    def told(self, learned: Frames, off: Tensor, asked: Frames) -> Tensor:
+        """What examples (N, n) of q less its equilibrium say of other moments (M, n)."""
+        return off.mean(0).expand(len(asked), -1)
+
+    def equilibrium(self, frames: Frames, values: Values) -> Tensor:
+        """q (N, n) of the identified arm at rest, whose arcs have no slopes; NaN where there is none."""
+        q, coordinates = self.arm.rest(frames.drive, values), self.sections.model.coordinates
+        driven = torch.tensor([each.driven for each in coordinates.pattern]).repeat(len(self.sections.lengths))
+        return q.new_zeros(len(q), len(driven)).index_copy(1, driven.nonzero().squeeze(-1), q)
 
     def predict(self, test: Frames, task: Task, seen: Frames | None = None) -> Tensor:
         """See `Method.predict`."""
@@ -78,7 +121,7 @@ class IdentifiedPosterior(Posterior):
 
     def expected(self, frames: Frames, payload: Tensor) -> Tensor:
         """q (N, n) under the motors and a payload (1,), kg; NaN where there is no equilibrium."""
-        return self.arm.rest(frames.drive, self.values | {TIP_MASS: payload}) + self.left.value
+        return self.equilibrium(frames, self.values | {TIP_MASS: payload}) + self.mean
 
     def payload(self, test: Frames) -> Tensor:
         """The most likely payload (1,), kg: bodies scatter by what q does, and by the noise of their positions."""
@@ -103,27 +146,31 @@ class IdentifiedPosterior(Posterior):
 
 
 class LearnedPosterior(IdentifiedPosterior):
-    """The same, with the mean of what is left of q told by kernel ridge regression from the motors."""
+    """The same, with what is left of q told by kernel ridge regression from the motors."""
 
     family = BOTH
 
-    def learned(self, frames: Frames, left: Tensor) -> Gaussian:
-        """See `IdentifiedPosterior.learned`; the covariance is of what it leaves where it has not learned."""
-        self.regression = KernelMethod(self.known)
-        self.rest = self._model(frames, left)
-        folds = torch.arange(len(left)) * FOLDS // len(left)
-        missed = torch.empty_like(left)
-        for fold in range(FOLDS):
-            own, others = ((folds == fold).nonzero().squeeze(-1), (folds != fold).nonzero().squeeze(-1))
-            missed[own] = left[own] - self._said(self._model(frames.at(others), left[others]), frames.at(own))
-        return Gaussian.of(missed, LEAST_ANGLE)
+    def __init__(self, known: Known) -> None:
+        super().__init__(known)
+        self.regression = KernelMethod(known)
+
+    def learn(self, frames: Frames, off: Tensor) -> None:
+        """See `IdentifiedPosterior.learn`."""
+        super().learn(frames, off)
+        self.rest = self.regression.learned(frames, off - self.mean, MOTORS)
+
+    def told(self, learned: Frames, off: Tensor, asked: Frames) -> Tensor:
+        """See `IdentifiedPosterior.told`."""
+        return self._said(self.regression.learned(learned, off, MOTORS), asked)
 
     def expected(self, frames: Frames, payload: Tensor) -> Tensor:
         """See `IdentifiedPosterior.expected`."""
         return super().expected(frames, payload) + self._said(self.rest, frames)
 
-    def _model(self, frames: Frames, left: Tensor) -> Estimator:
-        return self.regression.learned(frames, left, MOTORS)
-
     def _said(self, model: Estimator, frames: Frames) -> Tensor:
         return torch.from_numpy(model.predict(self.regression.features(frames, MOTORS)))
+
+
+def settled(q: Tensor) -> Tensor:
+    """Indices of the moments whose equilibrium (N, n) was found."""
+    return q.isfinite().all(-1).nonzero().squeeze(-1)

@@ -83,6 +83,8 @@ def evaluate(
         found: dict[tuple[Task, str, int], list[float]] = {}
         begun = time.process_time()
         method = methods[name](known[0])
+        if not any(map(method.answers, tasks)):
+            continue
         try:
             for fold in folds:
                 method = methods[name](known[fold])
@@ -107,9 +109,11 @@ def _errors(method: Method, task: Task, session: Session, fold: int, every: int)
     """Body from 1 -> root of the mean squared distance, mm, of the bodies that are not shown."""
     parts = session.folds[fold]
     truth = session.frames.at(parts.validation[::every])
+    if task.ahead:
+        truth = truth.at(truth.past.seen)
     seen = truth if method.hindsight else session.frames.at(parts.training) if task.online else None
     with torch.no_grad():
-        found = method.predict(truth.showing(task.shown, task.motors, task.orientations), task, seen)
+        found = method.predict(truth.showing(task), task, seen)
     return {body + 1: rms_mm(found[:, body], truth.positions[:, body]) for body in task.hidden(found.shape[1])}
 
 

@@ -27,8 +27,15 @@ LAGS = 5
 """Moments of the past, evenly spread over what an arm's fit sees of it, that a lagged regression sees."""
 
 
+def held(frames: Frames, task: Task) -> Tensor:
+    """From where a regression counts (N, k, 3) or nothing: the sample before, where a task shows it."""
+    return frames.past.positions[:, 0] if task.ahead else torch.zeros_like(frames.positions)
+
+
 class Regression(Method):
     """A regression from what is shown to all bodies, one for each task; where a load may be followed, from `seen`.
+
+    One step ahead every regression is lagged: it sees the two samples before, and says how far bodies move on.
 
     Args:
         known: See `Method`.
@@ -62,9 +69,10 @@ class Regression(Method):
         train = self._train if seen is None else seen
         assert train is not None, "fit comes before predict"
         if seen is not None or task not in self._learned:
-            some = train if self.most is None else train.at(thinned(torch.arange(len(train)), self.most))
-            self._learned[task] = self.learned(some, some.positions, task)
-        return self.said(self._learned[task], test, task)
+            index = train.past.seen if task.ahead else torch.arange(len(train))
+            some = train.at(index if self.most is None else thinned(index, self.most))
+            self._learned[task] = self.learned(some, some.positions - held(some, task), task)
+        return held(test, task) + self.said(self._learned[task], test, task)
 
     def learned(self, train: Frames, wanted: Tensor, task: Task) -> Estimator:
         """A regression of `wanted` (N, k, 3) at the moments of `train`.
@@ -92,23 +100,56 @@ class Regression(Method):
         if task.motors:
             history = frames.drive.history
             lags = history.shape[1] - 1
-            steps = sorted({round(lags * j / LAGS) for j in range(LAGS + 1)}) if self.lagged else [0]
+            lagged = self.lagged or task.ahead
+            steps = sorted({round(lags * j / LAGS) for j in range(LAGS + 1)}) if lagged else [0]
             columns += [history[:, step] for step in steps]
             if self.slack:
                 columns = [column.clamp(**end) for column in columns for end in ({"min": 0.0}, {"max": 0.0})]
-            if self.lagged:
+            if lagged:
                 columns.append(frames.drive.slide)
+        if task.ahead:
+            last, before = frames.past.positions.flatten(2).unbind(1)
+            columns += [frames.past.drive.history[:, 0], last, last - before]
         return torch.cat(columns, -1).numpy()
 
 
 class Mean(Regression):
     """The mean of the training positions."""
 
+    def answers(self, task: Task) -> bool:
+        """See `Method.answers`."""
+        return not task.ahead
+
     def estimator(self, x: Array, y: Array) -> Estimator:
         """See `Regression.estimator`."""
         from sklearn.dummy import DummyRegressor
 
         return DummyRegressor()
+
+
+class Persistence(Method):
+    """Every body stays where it was at the sample before."""
+
+    family = LEARNING
+
+    def answers(self, task: Task) -> bool:
+        """See `Method.answers`."""
+        return task.ahead
+
+    def fit(self, train: Frames) -> None:
+        """See `Method.fit`."""
+
+    def predict(self, test: Frames, task: Task, seen: Frames | None = None) -> Tensor:
+        """See `Method.predict`."""
+        return test.past.positions[:, 0]
+
+
+class SteadyMotion(Persistence):
+    """Every body moves on as it did before."""
+
+    def predict(self, test: Frames, task: Task, seen: Frames | None = None) -> Tensor:
+        """See `Method.predict`."""
+        return 2.0 * test.past.positions[:, 0] - test.past.positions[:, 1]
 
 
 class Linear(Regression):

@@ -29,7 +29,7 @@ class Estimate(NamedTuple):
     """A payload estimate, g.
 
     session: Whose last seconds it is of. grams, low_g, high_g: The estimate and its 95 % interval. true_g: Known
-    payload, None if not. scale_from: What fixed the scale of mass: the arm's file, or a session of known payload.
+    payload, None if not. scale_from: What fixed the scale of mass: the arm's file, or known payloads.
     """
 
     session: str
@@ -44,7 +44,7 @@ def payloads(known: Known, sessions: Sequence[Session], learned: str, fold: int)
     """Estimates at the end of every session, by an arm identified on the training part of `learned`.
 
     The arm knows masses by their ratio to its stiffness, as its file says. A session of another payload that is known
-    fixes the scale by its training part.
+    fixes the scale by its training part; a second estimate lets the session's own payload fix it too, by that part.
 
     Args:
         known: What is known of the arm.
@@ -57,29 +57,38 @@ def payloads(known: Known, sessions: Sequence[Session], learned: str, fold: int)
     windows = {s.name: _windows(s.frames.at(s.folds[fold].validation)) for s in sessions}
     masses = {name: [scales.mass(window) for window in each] for name, each in windows.items()}
     loaded = {s.name: scales.mass(s.frames.at(s.folds[fold].training)) for s in sessions if s.payload}
-    return [_estimate(scales, session, sessions, windows[session.name][-1], masses, loaded) for session in sessions]
+    found = []
+    for session in sessions:
+        others = [s for s in sessions if s.payload is not None and s.name != session.name]
+        found.append(_estimate(scales, session, others, others, windows[session.name][-1], masses, loaded))
+        if session.payload:
+            by = [*others, session]
+            found.append(_estimate(scales, session, others, by, windows[session.name][-1], masses, loaded))
+    return found
 
 
 def _estimate(
     scales: _Scales,
     session: Session,
-    sessions: Sequence[Session],
+    others: Sequence[Session],
+    scaled_by: Sequence[Session],
     end: Frames,
     masses: Mapping[str, Sequence[float]],
     loaded: Mapping[str, float],
 ) -> Estimate:
     """Of the end of a session, from the masses of the windows of all, kg by the arm's own scale."""
-    others = [s for s in sessions if s.payload is not None and s.name != session.name]
-    moments = sum(loaded[s.name] ** 2 for s in others if s.payload)
-    scale = sum(float(s.payload or 0.0) * loaded[s.name] for s in others if s.payload) / moments if moments else 1.0
+    known = {s.name: s.payload for s in scaled_by if s.payload}
+    moments = sum(loaded[name] ** 2 for name in known)
+    scale = sum(payload * loaded[name] for name, payload in known.items()) / moments if moments else 1.0
     own = torch.tensor(masses[session.name], dtype=torch.float64)
     # Of the others the payload is known, and so how far such an estimate is off.
     off = [scale * mass - float(s.payload or 0.0) for s in others for mass in masses[s.name]]
-    told = math.hypot(scale * scales.deviation(end, fixed=bool(moments)), scale * float(own.std()))
+    told = math.hypot(scale * scales.deviation(end, fixed=bool(known)), scale * float(own.std()))
     reach = NORMAL_95 * math.hypot(told, math.sqrt(sum(e * e for e in off) / max(len(off), 1)))
     low, middle, high = (1e3 * (scale * float(own[-1]) + side * reach) for side in (-1.0, 0.0, 1.0))
     true = None if session.payload is None else 1e3 * session.payload
-    by = ", ".join(s.name for s in others if s.payload) or "the arm's file"
+    names = (f"{name}, its training part" if name == session.name else name for name in known)
+    by = ", ".join(names) or "the arm's file"
     return Estimate(session.name, middle, low, high, true, by)
 
 

@@ -47,13 +47,16 @@ class Posterior(Method):
 
     def fit(self, train: Frames) -> None:
         """See `Method.fit`."""
-        calibration = self.known.calibration
-        lengths = calibration.rest_lengths
-        self.sections = Sections(self.model(len(lengths)), lengths, calibration)
+        self.sections = self.at_rest()
         some = train.at(thinned(torch.arange(len(train)), MOST))
         q = self.sections.most_probable(some.positions, some.rotations, [wide(self.sections.model)])
         self.prior = Gaussian.of(q, LEAST_ANGLE)
         self.inputs = Gaussian.regressed(q, some.inputs, LEAST_INPUT)
+
+    def at_rest(self) -> Sections:
+        """Sections that end at the bodies, as they were calibrated."""
+        lengths = self.known.calibration.rest_lengths
+        return Sections(self.model(len(lengths)), lengths, self.known.calibration)
 
     def predict(self, test: Frames, task: Task, seen: Frames | None = None) -> Tensor:
         """See `Method.predict`."""

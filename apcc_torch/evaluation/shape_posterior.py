@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from apcc_torch.estimation.rest_calibration import RestCalibration
+from apcc_torch.identification.fit import correlation_length
 from apcc_torch.lie import so3
 from apcc_torch.model.abscissae import located
 from apcc_torch.model.kinematic_model import KinematicModel
@@ -37,21 +38,47 @@ class Gaussian(NamedTuple):
     def of(samples: Tensor, least: float) -> Gaussian:
         """Of q itself, by the mean and covariance of samples (N, n) and a deviation that it has at least."""
         mean = samples.mean(0)
-        return Gaussian(mean, torch.eye(len(mean), dtype=mean.dtype), information_root(samples - mean, least))
+        return Gaussian.around(mean, covariance(samples - mean), least)
+
+    @staticmethod
+    def around(mean: Tensor, scatter: Tensor, least: float) -> Gaussian:
+        """Of q itself, by its mean (n,), covariance (n, n), and a deviation that it has at least."""
+        return Gaussian(mean, torch.eye(len(mean), dtype=mean.dtype), information_root(scatter, least))
 
     @staticmethod
     def regressed(q: Tensor, values: Tensor, least: float) -> Gaussian:
         """Of numbers (N, m) by their least squares on q (N, n); the value of other moments less `value` is theirs."""
         ones = torch.nn.functional.pad(q, (0, 1), value=1.0)
         solution = torch.linalg.lstsq(ones, values).solution
-        return Gaussian(solution[-1], solution[:-1].mT, information_root(values - ones @ solution, least))
+        root = information_root(shrunk_covariance(values - ones @ solution), least)
+        return Gaussian(solution[-1], solution[:-1].mT, root)
 
 
-def information_root(residual: Tensor, least: float) -> Tensor:
-    """Upper root (m, m) of the inverse covariance of residuals (N, m) with zero mean."""
-    covariance = residual.mT @ residual / len(residual)
-    eye = torch.eye(len(covariance), dtype=residual.dtype)
-    return torch.linalg.cholesky(torch.linalg.inv(covariance + least * least * eye)).mT
+def covariance(residual: Tensor) -> Tensor:
+    """Of residuals (N, m) with zero mean, (m, m)."""
+    return residual.mT @ residual / len(residual)
+
+
+def shrunk_covariance(residual: Tensor) -> Tensor:
+    """The same of what a model leaves in the order of time, of which few moments say little.
+
+    Correlations shrink by the share of their squares that chance alone would make (Schaefer and Strimmer 2005, target
+    D), with as many moments as are worth an independent one.
+    """
+    found = covariance(residual)
+    scale = found.diagonal().sqrt().clamp(min=torch.finfo(found.dtype).tiny)
+    apart = ~torch.eye(len(scale), dtype=torch.bool)
+    squared = (found / scale / scale.unsqueeze(-1)).square()[apart]
+    independent = len(residual) / correlation_length(residual / scale)
+    by_chance = (1.0 - squared).square().sum() / independent
+    kept = 1.0 - (by_chance / squared.sum().clamp(min=1e-12)).clamp(max=1.0)
+    return torch.where(apart, kept * found, found)
+
+
+def information_root(scatter: Tensor, least: float) -> Tensor:
+    """Upper root (m, m) of the inverse of a covariance (m, m), and of a deviation that each number has at least."""
+    eye = torch.eye(len(scatter), dtype=scatter.dtype)
+    return torch.linalg.cholesky(torch.linalg.inv(scatter + least * least * eye)).mT
 
 
 @dataclass(frozen=True)

@@ -11,12 +11,14 @@ class Task(NamedTuple):
     shown: Bodies that are shown, from 0. motors: Whether what drives the arm is told.
     orientations: Whether the shown bodies' orientations are told too.
     online: Whether the part of the session before the scored one may be seen whole, and followed.
+    ahead: Whether all bodies are shown up to the sample before.
     """
 
     shown: tuple[int, ...]
     motors: bool
     orientations: bool = False
     online: bool = False
+    ahead: bool = False
 
     @property
     def name(self) -> str:
@@ -29,7 +31,7 @@ class Task(NamedTuple):
         if self.motors:
             parts.append("motors")
         told = " and ".join([", ".join(parts[:-1]), parts[-1]] if len(parts) > 1 else parts)
-        return f"{told}, load followed" if self.online else told
+        return told + ", load followed" * self.online + ", one step ahead" * self.ahead
 
     def hidden(self, k: int) -> tuple[int, ...]:
         """The bodies of k that are asked for, from 0."""
@@ -39,14 +41,14 @@ class Task(NamedTuple):
 def tasks_of(k: int, orientations: bool) -> list[Task]:
     """What is asked about an arm with k bodies.
 
-    Motors alone, with and without following what the session showed before; then each body from all others, and all
-    from the last one, from sensors alone and with the motors.
+    Motors alone, with and without following what the session showed before, and one step ahead; then each body from all
+    others, and all from the last one, from sensors alone and with the motors.
 
     Args:
         k: Number of bodies.
         orientations: Whether there are some.
     """
-    asked = [Task((), True), Task((), True, online=True)]
+    asked = [Task((), True), Task((), True, online=True), Task((), True, ahead=True)]
     sets = [tuple(b for b in range(k) if b != hidden) for hidden in range(k)] if k > 1 else []
     sets += [(k - 1,)] if k > 2 else []
     for turned in (False, True) if orientations else (False,):

@@ -9,7 +9,8 @@ from torch import Tensor
 
 from apcc_torch.estimation.rest_calibration import RestCalibration
 from apcc_torch.evaluation.sections_methods import wide
-from apcc_torch.evaluation.shape_posterior import Gaussian, Sections, information_root
+from apcc_torch.evaluation.shape_posterior import Gaussian, Sections, information_root, shrunk_covariance
+from apcc_torch.identification.fit import correlation_length
 from apcc_torch.lie import so3
 from apcc_torch.model.affine import AffineBackbone
 from apcc_torch.model.backbone import PCCBackbone
@@ -99,13 +100,14 @@ def test_linear_beliefs_alone_have_a_closed_form() -> None:
     want, *_ = np.linalg.lstsq(ones, values.numpy(), rcond=None)
     np.testing.assert_allclose(np.vstack([rows.matrix.mT.numpy(), rows.value.numpy()]), want, rtol=1e-8, atol=1e-10)
     residual = values.numpy() - ones @ want
-    np.testing.assert_allclose((rows.root.mT @ rows.root).numpy(), np.linalg.inv(residual.T @ residual / 60), rtol=1e-5)
+    S = shrunk_covariance(torch.from_numpy(residual)).numpy()
+    np.testing.assert_allclose((rows.root.mT @ rows.root).numpy(), np.linalg.inv(S), rtol=1e-5)
 
     unseen = torch.full((60, 3, 3), torch.nan, dtype=D)
     askew = torch.full((60, 3, 3, 3), torch.nan, dtype=D)
     told = rows._replace(value=values - rows.value)
     found = arm.most_probable(unseen, askew, [prior, told]).numpy()
-    P, S = np.cov(samples.numpy().T, bias=True), residual.T @ residual / 60
+    P = np.cov(samples.numpy().T, bias=True)
     B = rows.matrix.numpy()
     mean = samples.numpy().mean(0)
     gain = P @ B.T @ np.linalg.inv(B @ P @ B.T + S)
@@ -114,7 +116,36 @@ def test_linear_beliefs_alone_have_a_closed_form() -> None:
 
 
 def test_a_root_is_of_the_information() -> None:
-    residual = normal((200, 3), D, generator(9)) * torch.tensor([1.0, 2.0, 0.0], dtype=D)
-    root = information_root(residual, least=0.5)
-    covariance = residual.mT @ residual / 200 + 0.25 * torch.eye(3, dtype=D)
-    torch.testing.assert_close(root.mT @ root @ covariance, torch.eye(3, dtype=D), rtol=1e-9, atol=1e-9)
+    scatter = torch.tensor([[1.0, 0.3, 0.0], [0.3, 4.0, 0.0], [0.0, 0.0, 0.0]], dtype=D)
+    root = information_root(scatter, least=0.5)
+    eye = torch.eye(3, dtype=D)
+    torch.testing.assert_close(root.mT @ root @ (scatter + 0.25 * eye), eye, rtol=1e-9, atol=1e-9)
+
+
+def test_correlations_by_chance_shrink_and_real_ones_stay() -> None:
+    """Schaefer and Strimmer's share, by their own sums over products of standard scores, of independent samples."""
+    rng = generator(9)
+    mixed = normal((40, 4), D, rng) @ (torch.eye(4, dtype=D) + 0.5 * normal((4, 4), D, rng))
+    samples = mixed * torch.tensor([1.0, 2.0, 3.0, 0.1], dtype=D)
+    found, plain = shrunk_covariance(samples).numpy(), (samples.mT @ samples / 40).numpy()
+    np.testing.assert_allclose(found.diagonal(), plain.diagonal(), rtol=1e-12)
+    scale = np.sqrt(plain.diagonal())
+    apart = ~np.eye(4, dtype=bool)
+    r = (plain / scale / scale[:, None])[apart]
+    kept = (found / plain)[apart]
+    np.testing.assert_allclose(kept, kept[0], rtol=1e-9)  # one share of them all
+    length = correlation_length(samples / torch.from_numpy(scale))
+    np.testing.assert_allclose(kept[0], 1.0 - ((1.0 - r**2) ** 2).sum() * length / 40 / (r**2).sum(), rtol=1e-9)
+
+    # Numbers that know nothing of each other: what correlates by chance all but goes; repeated samples say no more.
+    left = before = 0.0
+    for n in (30, 40, 50):
+        x = normal((n, 6), D, generator(n))
+        left += float(shrunk_covariance(x).triu(1).abs().sum())
+        before += float((x.mT @ x / n).triu(1).abs().sum())
+    assert left < 0.4 * before
+    often = shrunk_covariance(samples.repeat_interleave(5, 0))
+    assert bool((often[apart].abs() <= torch.from_numpy(found)[apart].abs() + 1e-9).all())
+    # What goes together in truth stays.
+    same = normal((40, 1), D, rng) * torch.tensor([1.0, 2.0], dtype=D)
+    torch.testing.assert_close(shrunk_covariance(same), same.mT @ same / 40, rtol=1e-9, atol=1e-9)
