@@ -36,3 +36,8 @@ def test_an_arm_without_either_is_straight() -> None:
 def test_slack_tendons_have_no_part_in_it() -> None:
     slack = Arm(lengths=[0.2, 0.25]).changed(actuation=Actuation(pre_stretch=-0.01))
     assert torch.equal(strain_at_rest(slack), torch.zeros(6, dtype=D))
+
+
+def test_motors_that_set_tensions_hold_nothing() -> None:
+    forced = Actuation(pre_stretch=0.02, sets="tension")
+    assert torch.equal(strain_at_rest(Arm(lengths=[0.2, 0.25], actuation=forced)), torch.zeros(6, dtype=D))
