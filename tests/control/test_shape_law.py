@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -12,6 +13,7 @@ from apcc_torch.control.adaptation import AdaptiveLawSettings
 from apcc_torch.control.composite_controller import CompositeController
 from apcc_torch.control.shape_law import ShapeLaw, ShapeLawSettings
 from apcc_torch.errors import ConfigError
+from apcc_torch.estimation.feedback import FeedbackStatus
 from apcc_torch.estimation.shape_feedback import ShapeFeedback
 from apcc_torch.experiments.dynamic import curves, simulate
 from apcc_torch.model.backbone import PCCBackbone
@@ -97,9 +99,30 @@ def test_the_standard_controller_has_algorithm_2_alone() -> None:
 def test_over_a_long_period_no_more_than_the_elongation_is_taken_over() -> None:
     controller, state, _, _, _ = held(ARM, 0.4, 3)
     law = ShapeLaw(ARM.rest_lengths(), controller.feedback, ShapeLawSettings(time_constant=0.1))
-    step = type("Step", (), {"q_bar": state.q_bar, "backbone": controller.backbone, "dt": torch.tensor(0.5, dtype=D)})
+    T = controller.backbone.pose(state.q_bar, state.pi_hat, *decouple(ARM.sensor_places(), state.pi_hat))
+    step = SimpleNamespace(
+        q_bar=state.q_bar,
+        backbone=controller.backbone,
+        dt=torch.tensor(0.5, dtype=D),
+        inference=controller.feedback.infer(state.q_bar, state.pi_hat, T),
+    )
     speed, _ = law.speed(step, None)  # type: ignore[arg-type]
     assert torch.allclose(0.5 * speed, state.q_bar[2::3])
+
+
+def test_in_contact_the_rest_lengths_rest_and_the_status_says_why() -> None:
+    controller, state, _, q, y = held(ARM, 0.4, 100)
+    lengths = ARM.refined(2)
+    T = PCCBackbone(6, ARM.base_rotation()).pose(q, lengths, *decouple(ARM.sensor_places(), lengths))
+    # What pushes at the middle moves it by 10 cm against both its neighbours.
+    T[1, 0, 3] += 0.1
+    target = Target(T[-1, :3, 3], torch.zeros(3, dtype=D))
+    for _ in range(400):
+        before = state.pi_hat
+        state, command = controller(state, Measurement(T, state.time + 0.02, tendons=y), target)
+    assert int(command.feedback.status) == FeedbackStatus.MISFIT
+    assert torch.equal(state.pi_hat, before)
+    assert state.q_bar[2::3].abs().max() > 1e-3, "there is something to take over"
 
 
 def test_what_cannot_run_beside_it_is_refused() -> None:
