@@ -207,8 +207,10 @@ def estimator(X: Tensor = SENSORS) -> StateFeedback:
 def sensed(**settings: Any) -> Tensor:
     made = PoseSensors(**settings)
     T = torch.eye(4, dtype=torch.float64).expand(ROWS, 2, 4, 4)
-    _, seen, mask = made(made.initial_state(T), T, torch.Generator().manual_seed(3))
-    return torch.cat((seen.flatten(-2), mask.unsqueeze(-1)), dim=-1)
+    draws = made.draw(T, torch.Generator().manual_seed(3), 2)
+    _, seen, mask = made.read(made.initial_state(T), T, draws)
+    y = made.measured_tendons(torch.zeros(ROWS, 2).double(), torch.full((ROWS, 2), -5.0).double(), draws)
+    return torch.cat((seen.flatten(-2), mask.unsqueeze(-1), y.unsqueeze(-1)), dim=-1)
 
 
 def sine(omega: Any) -> Tensor:
@@ -346,6 +348,8 @@ USES: dict[tuple[type, Callable[..., Tensor]], dict[str, tuple[float, ...]]] = {
         "position_noise": (1e-3, 1e-2, 1.0),
         "angular_noise": (1e-3, 1e-2, 1.0),
         "dropout": (0.1, 0.5, 0.9),
+        "tendon_noise": (1e-4, 1e-3, 1e-2),
+        "tendon_stretch": (1e-5, 1e-4, 1e-3),
     },
     (SineTrajectory, sine): {
         "omega": (0.1, 1.0, 3.0),

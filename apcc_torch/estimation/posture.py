@@ -57,9 +57,10 @@ class TendonMechanics(Part):
         ValueRangeError: A stiffness is not positive, or the friction is not finite.
 
     Example:
-        >>> tendons = TendonMechanics.of(Arm(lengths=[0.2], actuation={"stiffness": 2000.0, "friction": 0.1}))
-        >>> tendons.forces(torch.tensor([0.003, 0.0, 0.0]), torch.tensor([0.0, 0.001, -0.001]))
-        tensor([-6.0000e+00, -2.0000e+00, -5.8208e-05])
+        >>> from apcc_torch.model.arm_tendons import Actuation
+        >>> tendons = TendonMechanics.of(Arm(lengths=[0.2], actuation=Actuation(stiffness=2000.0, friction=0.1)))
+        >>> tendons.forces(torch.tensor([0.003, 0.0, 0.0]), torch.tensor([0.0, 0.001, -0.001])).round(decimals=2) + 0.0
+        tensor([-6., -2.,  0.])
     """
 
     stiffness: Tensor

@@ -27,6 +27,7 @@ def strain_at_rest(arm: Arm) -> Tensor:
         arm: Its rest bends, stiffness, tendons and their pre-stretch.
 
     Example:
+        >>> from apcc_torch.model.arm_tendons import Actuation
         >>> taut = Arm(lengths=[0.2, 0.25]).changed(actuation=Actuation(pre_stretch=1e-3))
         >>> bool((strain_at_rest(taut)[2::3] < 0).all())
         True

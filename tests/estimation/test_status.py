@@ -146,7 +146,8 @@ def test_a_loaded_arm_that_hangs_still_is_said_to_have_settled() -> None:
         state, inference = followed.infer(f, state, q_bar, pi, T, None, None, tendons, dt)
         q_bar = inference.feedback.q_bar
         said.append(inference.feedback.status)
-    assert (said[3][1:] == S.ITERATION_LIMIT).all()
+    # Under little weight the sensors are met at once; under more it is not said to rest before it does.
+    assert (torch.stack(said[:4]) != S.SETTLED).all() and said[3][2] == S.ITERATION_LIMIT
     assert ((said[-1] == S.SETTLED) | (said[-1] == S.CONVERGED)).all(), said[-1]
 
 
