@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
+from importlib.util import find_spec
 from pathlib import Path
 
 import torch
@@ -39,7 +41,8 @@ def run(settings: EvaluateSettings, folder: Path, say: Say) -> str:
     started = time.perf_counter()
     if settings.threads is not None:
         torch.set_num_threads(settings.threads)
-    board = of_statics(settings) if settings.data.kind == "statics" else of_motion(settings, say)
+    with limited(settings.threads):
+        board = of_statics(settings) if settings.data.kind == "statics" else of_motion(settings, say)
     text = board.text()
     write_atomically(folder / "table.txt", text + "\n")
     write_atomically(folder / "table.md", board.markdown() + "\n")
@@ -52,6 +55,16 @@ def run(settings: EvaluateSettings, folder: Path, say: Say) -> str:
     foot = f"python -m apcc_torch.evaluate, {wall:.0f} s; " + ", ".join(f"{k} {v}" for k, v in versions().items())
     write_atomically(folder / "leaderboard.html", board.page(folder, foot))
     return text
+
+
+def limited(threads: int | None) -> AbstractContextManager[object]:
+    """As many threads for the numerics of scikit-learn: on small systems they wait for each other. None: as it is."""
+    if threads is None or find_spec("threadpoolctl") is None:
+        return nullcontext()
+    from threadpoolctl import threadpool_limits
+
+    limits: AbstractContextManager[object] = threadpool_limits(threads)
+    return limits
 
 
 def of_statics(settings: EvaluateSettings) -> Leaderboard:

@@ -22,6 +22,7 @@ from apcc_torch.evaluation.learning import Linear
 from apcc_torch.evaluation.method import Known, Method
 from apcc_torch.evaluation.methods import METHODS
 from apcc_torch.evaluation.tasks import Task, tasks_of
+from apcc_torch.experiments.evaluation import limited
 from apcc_torch.identification.series import Series
 from commands import environment
 from composed import composed_evaluate
@@ -247,3 +248,12 @@ def test_a_method_that_cannot_take_part_is_told(tmp_path: Path, small: tuple[Kno
     methods: dict[str, type[Method]] = {"broken": Broken}
     scores, failures = evaluate([small[0]], sessions, "empty", [Task((), True)], methods, 1, list)
     assert not scores and failures == [("broken", "there is nothing to learn from")]
+
+
+def test_the_numerics_of_regressions_have_as_many_threads_as_are_told() -> None:
+    pools = pytest.importorskip("threadpoolctl")
+    before = [pool["num_threads"] for pool in pools.threadpool_info()]
+    with limited(1):
+        assert {pool["num_threads"] for pool in pools.threadpool_info()} <= {1}
+    with limited(None):
+        assert [pool["num_threads"] for pool in pools.threadpool_info()] == before
