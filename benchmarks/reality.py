@@ -15,6 +15,7 @@ from typing import Any
 
 from page import between
 
+from apcc_torch.evaluation.coverage import Covered
 from apcc_torch.evaluation.leaderboard import Score
 from apcc_torch.evaluation.method import BOTH, LEARNING, PHYSICS
 from apcc_torch.evaluation.methods import METHODS
@@ -43,23 +44,29 @@ def chapters(folders: Iterable[Path]) -> str:
     """A chapter a data set; of what several of its folders hold, that of the last one counts."""
     boards: dict[str, dict[tuple[object, ...], Score]] = {}
     weighed: dict[str, list[Estimate]] = {}
+    honest: dict[str, list[Covered]] = {}
     for folder in folders:
         table = json.loads((folder / "table.json").read_text(encoding="utf-8"))
         found = boards.setdefault(table["data"], {})
         found |= {(score.task, score.method, score.session, score.body): score for score in scores(table)}
         if table["payload"]:
             weighed[table["data"]] = [Estimate(**estimate) for estimate in table["payload"]]
-    told = (Leaderboard(name, [*found.values()], weighed.get(name, []), []) for name, found in boards.items())
+        if table["coverage"]:
+            honest[table["data"]] = [Covered(**each) for each in table["coverage"]]
+    told = (
+        Leaderboard(name, [*found.values()], weighed.get(name, []), [], honest.get(name, []))
+        for name, found in boards.items()
+    )
     return "\n".join(chapter(board) for board in told)
 
 
 def chapter(board: Leaderboard) -> str:
-    """The best of each family, what was weighed, and every method to unfold."""
+    """The best of each family, what was weighed, how honest the intervals are, and every method to unfold."""
     lines = [["from", "body", *FAMILIES], *(best(board, task) for task in dict.fromkeys(s.task for s in board.scores))]
     parts = [f"### {board.title}", as_markdown(lines)]
-    if board.payloads:
-        parts.append(Leaderboard(board.title, [], board.payloads, []).markdown())
-    every = Leaderboard(board.title, board.scores, [], []).markdown()
+    if board.payloads or board.coverage:
+        parts.append(board._replace(scores=[], failures=[]).markdown())
+    every = board._replace(payloads=[], coverage=[], failures=[]).markdown()
     parts += ['<details markdown="1">', f"<summary>Every method on {board.title}</summary>", every, "</details>"]
     return "\n\n".join(parts) + "\n"
 
