@@ -28,6 +28,7 @@ from apcc_torch.model.abscissae import located
 from apcc_torch.model.arm import Arm
 from apcc_torch.model.arm_rest import strain_at_rest
 from apcc_torch.model.dynamics import SoftArmDynamics
+from apcc_torch.model.kinematic_model import Placed
 from apcc_torch.model.tendons import TendonRouting
 from apcc_torch.part import Part, hold_rows
 from apcc_torch.settings import Setting, aligned, resolved
@@ -118,11 +119,9 @@ class LoadedShape(Part):
         B = routing.matrix(dynamics.lengths)
         if rest is None:
             rest = torch.zeros_like(B[..., : 3 * self.n_sections, 0])
-        hold_rows(
-            self, abscissae=(abscissae, 1), B=(B, 2), rest=(check_tensor("rest", rest, (3 * self.n_sections,)), 1)
-        )
+        check_tensor("rest", rest, (3 * self.n_sections,))
         information = tension_information(B, dynamics.stiffness_diagonal.to(B), s.refine)
-        hold_rows(self, information=(information, 2))
+        hold_rows(self, abscissae=(abscissae, 1), B=(B, 2), rest=(rest, 1), information=(information, 2))
         self.hold(s)
 
     @classmethod
@@ -212,7 +211,7 @@ class LoadedShape(Part):
             X: (..., k) abscissae of the points on the arm at rest, m.
         """
         q = self.configuration(state)
-        chain = self.backbone.chain_to(q, self.backbone.material_points(self.pieces(q), *self._located(q, X)))
+        chain = self.chain_at(q, X)
         move = chain.rotation @ self._moved(chain.body_jacobian(), state)[..., 3:, :]
         return move @ covariance.unsqueeze(-3) @ move.mT
 
@@ -282,7 +281,7 @@ class LoadedShape(Part):
     ) -> tuple[Tensor, Tensor]:
         """What the measurements leave (..., m), over its standard deviation, and its derivative (..., m, n + 1)."""
         q = self.configuration(state)
-        chain = self.backbone.chain_to(q, self.backbone.material_points(self.pieces(q), *self.sensors_at(q)))
+        chain = self.chain_at(q, self.abscissae)
         into_body = chain.rotation.mT
         offset = torch.where(usable.unsqueeze(-1), T[..., :3, 3] - chain.tip, 0.0)
         turn = into_body @ torch.where(oriented[..., None, None], T[..., :3, :3], chain.rotation)
@@ -311,6 +310,10 @@ class LoadedShape(Part):
         """(..., n_p) rest lengths of the arm's pieces, m, of the leading shape of q."""
         lengths = self.dynamics.lengths.to(q)
         return lengths.expand(*q.shape[:-1], lengths.shape[-1])
+
+    def chain_at(self, q: Tensor, X: Tensor) -> Placed:
+        """The arm at q (..., n_f) up to abscissae X (..., k) on the arm at rest, m."""
+        return self.backbone.chain_to(q, self.backbone.material_points(self.pieces(q), *self._located(q, X)))
 
     def sensors_at(self, q: Tensor) -> tuple[Tensor, Tensor]:
         """Normalised abscissa and piece (..., k) of the sensors, of the leading shape of q."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import torch
@@ -59,10 +60,12 @@ class IdentifiedPosterior(AffinePosterior):
         some, rest = some.at(settled(rest)), rest[settled(rest)]
         # What no body tells is as in the equilibrium.
         around = wide(self.sections.model)._replace(value=rest)
+        folds = torch.arange(len(some)) * FOLDS // len(some)
+        elsewhere = [self.equilibrium(some, self.without(some.at(outside(folds, k)), found)) for k in range(FOLDS)]
         tried = []
         for sections in candidates:
             q = sections.most_probable(some.positions, some.rotations, [around])
-            tried.append((shrunk_covariance(self.missed(some, q, found)), sections, q - rest))
+            tried.append((shrunk_covariance(self.missed(some, q, folds, elsewhere)), sections, q - rest))
         scatter, self.sections, off = min(tried, key=lambda each: float(each[0].logdet()))
         self.learn(some, off)
         self.left = Gaussian.around(self.mean, scatter, LEAST_ANGLE)
@@ -81,12 +84,18 @@ class IdentifiedPosterior(AffinePosterior):
         )  # fmt: skip
         return Sections(self.model(len(lengths)), lengths, calibration)
 
-    def missed(self, some: Frames, q: Tensor, found: Fit) -> Tensor:
-        """How far q (N, n) was off what the other stretches tell (M, n), where there is an equilibrium."""
-        folds, missed = torch.arange(len(q)) * FOLDS // len(q), []
-        for fold in range(FOLDS):
-            own, others = ((folds == fold).nonzero().squeeze(-1), (folds != fold).nonzero().squeeze(-1))
-            off = q - self.equilibrium(some, self.without(some.at(others), found))
+    def missed(self, some: Frames, q: Tensor, folds: Tensor, elsewhere: Sequence[Tensor]) -> Tensor:
+        """How far q (N, n) was off what the other stretches tell (M, n), where there is an equilibrium.
+
+        Args:
+            some: The moments.
+            q: What was seen of them.
+            folds: (N,) stretch of each.
+            elsewhere: Of each stretch, all equilibria (N, n) of an arm identified without it.
+        """
+        missed = []
+        for fold, rest in enumerate(elsewhere):
+            off, own, others = q - rest, (folds == fold).nonzero().squeeze(-1), outside(folds, fold)
             own, others = (index[settled(off[index])] for index in (own, others))
             missed.append(off[own] - self.told(some.at(others), off[others], some.at(own)))
         return torch.cat(missed)
@@ -169,6 +178,11 @@ class LearnedPosterior(IdentifiedPosterior):
 
     def _said(self, model: Estimator, frames: Frames) -> Tensor:
         return torch.from_numpy(model.predict(self.regression.features(frames, MOTORS)))
+
+
+def outside(folds: Tensor, fold: int) -> Tensor:
+    """Indices of the moments that are not of a stretch."""
+    return (folds != fold).nonzero().squeeze(-1)
 
 
 def settled(q: Tensor) -> Tensor:

@@ -71,8 +71,7 @@ class ShapeAsBuilt(Method):
 
     def bodies(self, state: ShapeState) -> tuple[Tensor, Tensor, Tensor]:
         """Places (N, k, 3) m and axes (N, k, 3, 3) of the arm where bodies sit, and from there to each (N, k, 3)."""
-        q, model = self.shape.configuration(state), self.shape.backbone
-        chain = model.chain_to(q, model.material_points(self.shape.pieces(q), *self.shape.sensors_at(q)))
+        chain = self.shape.chain_at(self.shape.configuration(state), self.shape.abscissae)
         return chain.tip, chain.rotation, (chain.rotation @ self.lever.unsqueeze(-1)).squeeze(-1)
 
 

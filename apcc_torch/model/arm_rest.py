@@ -34,8 +34,7 @@ def strain_at_rest(arm: Arm) -> Tensor:
     """
     with torch.no_grad():
         B = arm.routing().matrix(arm.rest_lengths())
-        axial, bending = (each.to(B) for each in arm.section_stiffness())
-        K = torch.stack(torch.broadcast_tensors(bending, bending, axial), dim=-1).flatten(-2)
+        K = arm.dynamics().stiffness_diagonal.to(B)
         bends = table("rest_bend", arm.rest_bend, arm.n_sections, 2).to(B)
         rest = torch.nn.functional.pad(bends, (0, 1)).flatten(-2).expand_as(K)
         k = spread("stiffness", arm.actuation.stiffness, arm.n_tendons).to(B)

@@ -41,7 +41,7 @@ def elastic_tension(stretch: Tensor, stiffness: Tensor) -> Tensor:
         >>> elastic_tension(torch.tensor([0.002, -0.001]), torch.tensor([3000.0, 3000.0]))
         tensor([6.0000e+00, 7.4506e-05])
     """
-    return 0.5 * stiffness * (stretch + torch.sqrt(stretch * stretch + CORNER * CORNER))
+    return -stiffness * taut(-stretch, CORNER)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -176,7 +176,8 @@ class ClosedLoop(Part):
         plant, arm = self.plant, now.plant
         sensors, seen, mask = self.sensors.read(now.sensors, self.poses(arm.arm.q), draws)
         target, lengths = self.trajectory(time), plant.lengths(arm.arm.q)
-        tendons = self.sensors.measured_tendons(lengths, plant.forces(arm, ramp(now.y, now.y, 0.0, self.period)), draws)
+        pull = plant.forces(arm, ramp(now.y, now.y, 0.0, self.period)) if self.sensors.stretches else None
+        tendons = self.sensors.measured_tendons(lengths, pull, draws)
         state, command = self.controller(
             now.controller, Measurement(seen, time, mask, forces=now.u, tendons=tendons), target
         )

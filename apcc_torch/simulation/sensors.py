@@ -118,15 +118,20 @@ class PoseSensors(Part):
             tendons = torch.randn(*drawn[:-1], n_tendons, dtype=T.dtype, device=T.device, generator=generator)
         return Draws(noise, chance, tendons)
 
-    def measured_tendons(self, y: Tensor, u: Tensor, draws: Draws) -> Tensor:
+    @property
+    def stretches(self) -> bool:
+        """Whether what a motor measures depends on its tendon's force."""
+        return is_on(self.tendon_stretch)
+
+    def measured_tendons(self, y: Tensor, u: Tensor | None, draws: Draws) -> Tensor:
         """Length changes (..., n_a) m as the motors measure them: a tendon that is pulled is longer than they say.
 
         Args:
             y: (..., n_a) true ones along the arm, m.
-            u: (..., n_a) the tendons' forces, N, tension is -u.
+            u: (..., n_a) the tendons' forces, N, tension is -u; None where nothing `stretches`.
             draws: From `draw`.
         """
-        if is_on(self.tendon_stretch):
+        if self.stretches and u is not None:
             y = y + aligned(self.tendon_stretch, 1) * u
         return y if draws.tendons is None else y + aligned(self.tendon_noise, 1) * draws.tendons
 
