@@ -10,6 +10,7 @@ import io
 import json
 import os
 import re
+import shutil
 import zipfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
@@ -72,6 +73,27 @@ def draft_of(path: Path | str) -> Iterator[Path]:
     finally:
         with suppress(OSError):  # nor is there a draft where there is no folder
             draft.unlink()
+
+
+@contextmanager
+def draft_folder_of(path: Path | str) -> Iterator[Path]:
+    """A folder's place to make it at, of its own name: moved to `path` if the block ends well, else removed.
+
+    Raises:
+        WriteError: There is something at `path` already, or the system does not take it.
+    """
+    path = Path(path)
+    if path.exists():
+        raise WriteError(f"{path} is there already: name another folder, or remove it")
+    around = path.with_name(f".{path.name}.{os.getpid()}.draft")
+    try:
+        around.mkdir(parents=True)
+        yield around / path.name
+        os.replace(around / path.name, path)
+    except OSError as error:
+        raise WriteError(f"{path} cannot be written: {error.strerror or error}") from error
+    finally:
+        shutil.rmtree(around, ignore_errors=True)
 
 
 def write_atomically(path: Path | str, content: bytes | str) -> Path:

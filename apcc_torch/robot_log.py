@@ -11,12 +11,16 @@ import numpy as np
 
 from apcc_torch.classes import ALLOWED
 from apcc_torch.composition.arguments import Arguments
-from apcc_torch.errors import ApccError
+from apcc_torch.errors import ApccError, DataError
 from apcc_torch.experiments.realtime_run import replay_log
+from apcc_torch.experiments.recorded_run import of_log
 from apcc_torch.hardware.log_export import write_parquet, write_recording, write_rerun
 from apcc_torch.hardware.log_reader import RobotLog, read_log
+from apcc_torch.messages.foxglove_file import write_foxglove
+from apcc_torch.messages.log_bag import write_bag
 from apcc_torch.plain_text import for_terminal
 from apcc_torch.processes import stoppable
+from apcc_torch.viewing.recorded import Recorded
 
 TOLERANCE = 1e-9
 """Largest difference of a replayed command from the logged one that counts as the same, m."""
@@ -69,6 +73,28 @@ def recording(record: RobotLog, arguments: argparse.Namespace) -> Answer:
     return str(write_recording(record, arguments.out or Path(arguments.log).with_name("recording.csv"))), 0
 
 
+def foxglove(record: RobotLog, arguments: argparse.Namespace) -> Answer:
+    """Writes an MCAP file that Foxglove opens."""
+    path = arguments.out or Path(arguments.log).with_name("foxglove.mcap")
+    return str(write_foxglove(run_of(record, arguments), path, record)), 0
+
+
+def bag(record: RobotLog, arguments: argparse.Namespace) -> Answer:
+    """Writes a bag of ROS 2."""
+    path = arguments.out or Path(arguments.log).with_name("bag")
+    return str(write_bag(record, path, run_of(record, arguments))), 0
+
+
+def run_of(record: RobotLog, arguments: argparse.Namespace) -> Recorded | None:
+    """The log as a run; None, with the reason among its damage, where it lacks what draws an arm."""
+    ALLOWED.update(arguments.allow_class)
+    try:
+        return of_log(record, Path(arguments.log).stem)
+    except DataError as error:
+        record.damage.append(f"the arm, its tip and target are left out: {error}")
+        return None
+
+
 def attachments(record: RobotLog, arguments: argparse.Namespace) -> Answer:
     """The attached files."""
     return "\n".join(f"# {name}\n{text}" for name, text in record.attachments.items()), 0
@@ -83,6 +109,11 @@ COMMANDS: dict[str, tuple[Callable[[RobotLog, argparse.Namespace], Answer], str]
     "parquet": (parquet, "one parquet file a topic (needs pyarrow)"),
     "rerun": (rerun, "a recording for the rerun viewer (needs rerun-sdk)"),
     "recording": (recording, "a recording.csv, as simulate experiment=replay and identify read it"),
+    "foxglove": (
+        foxglove,
+        "an MCAP file that Foxglove opens: frames, poses, the arm, all numbers (needs foxglove-sdk)",
+    ),
+    "bag": (bag, "a bag of ROS 2, as identify and simulate experiment=replay read it too (needs rosbags)"),
     "attachments": (attachments, "the attached files, such as the settings"),
 }
 
@@ -98,7 +129,7 @@ def parser() -> argparse.ArgumentParser:
     for name, (_, about) in COMMANDS.items():
         command = commands.add_parser(name, help=about, description=about)
         command.add_argument("log", type=Path, help="log.mcap of a run")
-        if name == "replay":
+        if name in ("replay", "foxglove", "bag"):
             command.add_argument(
                 "--allow-class",
                 action="append",
@@ -106,7 +137,7 @@ def parser() -> argparse.ArgumentParser:
                 metavar="NAME",
                 help="a class of yours that the log's settings may name, as package.module.Class; can be repeated",
             )
-        if name in ("parquet", "rerun", "recording"):
+        if name in ("parquet", "rerun", "recording", "foxglove", "bag"):
             command.add_argument("--out", type=Path, help="folder or file to write; beside the log if not given")
     return top
 

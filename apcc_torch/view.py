@@ -15,6 +15,7 @@ from apcc_torch.composition.arguments import Arguments
 from apcc_torch.composition.arm_file import SUFFIXES
 from apcc_torch.errors import ConfigError, one_sentence
 from apcc_torch.experiments.recorded_run import recorded
+from apcc_torch.messages.foxglove_file import write_foxglove
 from apcc_torch.model.arm import Arm
 from apcc_torch.plain_text import for_terminal
 from apcc_torch.processes import stoppable
@@ -39,6 +40,8 @@ built as machine code when it is first viewed, which takes about half a minute, 
 
 Sections are transparent, each in a colour of its own; the dark line within is the controller's model. Red collars are
 sensors, purple ellipsoids where they may be, as far as is known, enlarged; tendons redden as they tighten.
+With --foxglove a run becomes an MCAP file that Foxglove opens; python -m apcc_torch.robot_log foxglove LOG adds all
+that a log holds.
 The page is served to this machine alone; --host 0.0.0.0 serves it to all who reach it, and they may use its controls.
 Ctrl-C ends it.
 
@@ -48,6 +51,7 @@ examples:
   python -m apcc_torch.view arm_1 adaptation=none plant.arm.mass=0.6
   python -m apcc_torch.view runs/dynamic_run_2/DATE --row 4
   python -m apcc_torch.view runs/robot/setpoint_DATE/log.mcap --port 8090
+  python -m apcc_torch.view runs/dynamic_run_2/DATE --foxglove run.mcap
 """
 
 
@@ -59,6 +63,9 @@ def parser() -> argparse.ArgumentParser:
     made.add_argument("--host", default=ADDRESS.host, help=f"address to serve the page on; {ADDRESS.host} if not given")
     made.add_argument(
         "--port", type=int, default=ADDRESS.port, help=f"its port; 0 for any free one; {ADDRESS.port} if not given"
+    )
+    made.add_argument(
+        "--foxglove", type=Path, metavar="FILE", help="of a run: write it as this MCAP file for Foxglove, and no page"
     )
     made.add_argument("--row", type=int, default=0, help="of a run: which of its rows first; 0 if not given")
     return made
@@ -72,8 +79,9 @@ def is_run(what: str) -> bool:
 
 def show_arm(given: argparse.Namespace, address: WebAddress, over: threading.Event) -> None:
     """Lets a simulated arm follow the target on its page, until it is over."""
-    if given.row:
-        raise ConfigError("--row is of a run, and an arm has one row")
+    if given.row or given.foxglove:
+        option = "--row" if given.row else "--foxglove"
+        raise ConfigError(f"{option} is of a run, and {given.what} is an arm")
     arm = Arm.load(given.what)
     words = [f"experiment={EXPERIMENT}", f"arm={given.what}", "compile=auto", *given.changes]
     settings = compose(*words).settings
@@ -103,6 +111,12 @@ def show_run(given: argparse.Namespace, address: WebAddress, over: threading.Eve
         player.run(over)
 
 
+def write_run(given: argparse.Namespace) -> None:
+    """Writes a finished run for Foxglove."""
+    path = Path(given.what)
+    sys.stdout.write(f"{write_foxglove(recorded(path), given.foxglove, row=given.row)}\n")
+
+
 def tell(page: Page, what: str) -> None:
     """Says where the page is."""
     sys.stdout.write(f"{page.address.url}: {what}; Ctrl-C ends it\n")
@@ -122,6 +136,8 @@ def main(argv: Sequence[str] | None = None) -> None:
         stoppable(lambda by: sys.stderr.write(f"stopped by {by}\n")),
         one_sentence(lambda said: sys.stderr.write(f"apcc_torch.view: {said}\n")),
     ):
+        if given.foxglove and is_run(given.what):
+            return write_run(given)
         address = WebAddress(host=given.host, port=given.port).free("--")
         (show_run if is_run(given.what) else show_arm)(given, address, over)
 

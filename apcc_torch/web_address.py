@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import socket
 from dataclasses import dataclass
+from typing import ClassVar, Self
 
 from apcc_torch.errors import ConfigError, in_a_line
 from apcc_torch.settings import OURS, Settings, setting
@@ -22,6 +23,9 @@ class WebAddress(Settings):
         'http://127.0.0.1:8090'
     """
 
+    scheme: ClassVar[str] = "http"
+    group: ClassVar[str] = "page."
+
     host: str = setting(
         LOOPBACK, "", OURS, "address that the page is served on; 0.0.0.0: to everyone who reaches this machine"
     )
@@ -29,18 +33,19 @@ class WebAddress(Settings):
 
     @property
     def url(self) -> str:
-        """What to open in a browser of this machine."""
-        return f"http://{'localhost' if self.host in EVERYWHERE else self.host}:{self.port}"
+        """What to open on this machine."""
+        return f"{self.scheme}://{'localhost' if self.host in EVERYWHERE else self.host}:{self.port}"
 
-    def free(self, prefix: str = "page.") -> WebAddress:
+    def free(self, prefix: str | None = None) -> Self:
         """The address with a port that nothing listens on: its own, or any where it is 0.
 
         Args:
-            prefix: What stands before the settings' names where they were given, for the sentence.
+            prefix: What stands before the settings' names where they were given, for the sentence; None: their group.
 
         Raises:
             ConfigError: The port is taken, or the host is no address of this machine.
         """
+        prefix = self.group if prefix is None else prefix
         try:
             family = socket.getaddrinfo(self.host, self.port, type=socket.SOCK_STREAM)[0][0]
         except OSError as error:
@@ -55,3 +60,21 @@ class WebAddress(Settings):
                     "or 0 for any that is free"
                 ) from error
             return self.changed(port=probe.getsockname()[1])
+
+
+@dataclass(frozen=True, kw_only=True)
+class StreamAddress(WebAddress):
+    """Where a stream is served to Foxglove; its port is the one that Foxglove proposes.
+
+    Example:
+        >>> StreamAddress().url
+        'ws://127.0.0.1:8765'
+    """
+
+    scheme: ClassVar[str] = "ws"
+    group: ClassVar[str] = "stream."
+
+    host: str = setting(
+        LOOPBACK, "", OURS, "address that the stream is served on; 0.0.0.0: to everyone who reaches this machine"
+    )
+    port: int = setting(8765, "", OURS, "port of the stream; 0: any that is free", least=0, most=65535)

@@ -45,6 +45,7 @@ LAYERS: tuple[tuple[str, ...], ...] = (
     ("composition",),
     ("report",),
     ("viewing",),
+    ("messages",),
     ("experiments",),
     ("paper",),
     ("completion", "sweeps"),
@@ -64,6 +65,7 @@ RESTRICTED: dict[str, frozenset[str]] = {
     "sklearn": frozenset({"evaluation"}),
     "pooch": frozenset({"recordings"}),
     "rosbags": frozenset({"recordings"}),
+    "foxglove": frozenset({"messages"}),
     "viser": frozenset({"viewing"}),
 }
 

@@ -20,10 +20,12 @@ from apcc_torch.hardware.simulated.sensor import SimulatedSensorSettings
 from apcc_torch.native.compiled import MODES
 from apcc_torch.reading import keyed
 from apcc_torch.settings import OURS, PAPER, Settings, check_choice, names, setting
-from apcc_torch.web_address import WebAddress
+from apcc_torch.web_address import StreamAddress, WebAddress
 
 BROWSER = "browser"
 """What `view` is for a page."""
+FOXGLOVE = "foxglove"
+"""What it is for a stream."""
 SIMULATED = (SimulatedActuatorSettings, SimulatedSensorSettings)
 
 
@@ -79,9 +81,12 @@ class RealtimeSettings(RunSettings):
     series: SeriesSettings = setting(factory=SeriesSettings, meaning="several runs, each in a folder of its own")
     dry_run: bool = setting(False, meaning="everything but torque; the log says what would be sent")
     view: bool | str = setting(
-        True, meaning="the run, live: true, in the terminal, where there is one; browser, on a page; false, nowhere"
+        True,
+        meaning="the run, live: true, in the terminal, where there is one; browser, on a page; foxglove, streamed; "
+        "false, nowhere",
     )
     page: WebAddress = setting(factory=WebAddress, meaning="where view=browser is served")
+    stream: StreamAddress = setting(factory=StreamAddress, meaning="where view=foxglove is served")
     log: bool = setting(True, meaning="write log.mcap")
     figures: bool = setting(True, meaning="write the figures, once the run has ended")
 
@@ -89,7 +94,7 @@ class RealtimeSettings(RunSettings):
         """Raises where the clamps of the commands are no ranges of the arm's tendons."""
         super().check()
         if isinstance(self.view, str):
-            check_choice("view", self.view, (BROWSER, "true", "false"))
+            check_choice("view", self.view, (BROWSER, FOXGLOVE, "true", "false"))
         with keyed("guards.limits"):
             CommandLimits(self.arm.n_tendons, self.guards.limits)
 
@@ -114,6 +119,8 @@ def of_a_realtime_run(c: RealtimeSettings) -> Unread:
         yield "plant sensors", "the arm is a real one"
     if c.view != BROWSER:
         yield "page", "view is not browser"
+    if c.view != FOXGLOVE:
+        yield "stream", "view is not foxglove"
     if not c.series.runs and not c.series.sampled:
         yield "series", "there are no series.runs"
     if c.series.sampled:
@@ -129,7 +136,10 @@ def _of_a_calibration(c: RealtimeSettings) -> Unread:
     yield f"{groups} {_below('experiment', targets)}", "a calibration runs no controller"
     loop = [name for name in names(LoopSettings) if name != "rate"]
     guards = [name for name in names(GuardSettings) if name not in ("limits", "effort_cap")]
-    yield f"view page log figures {_below('loop', loop)} {_below('guards', guards)}", "a calibration runs no loop"
+    yield (
+        f"view page stream log figures {_below('loop', loop)} {_below('guards', guards)}",
+        "a calibration runs no loop",
+    )
     if not c.calibration.check_signs:
         pulled = "loop.rate guards.limits guards.effort_cap calibration.pull"
         yield pulled, "calibration.check_signs is false, and no tendon is pulled"

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from apcc_torch.composition.build_realtime import RealtimeBuilder
 from apcc_torch.composition.calibrated import calibrated, load_calibration
-from apcc_torch.composition.realtime import BROWSER, RealtimeSettings
+from apcc_torch.composition.realtime import BROWSER, FOXGLOVE, RealtimeSettings
 from apcc_torch.composition.schema import from_text, text
 from apcc_torch.control.controller import APCCController
 from apcc_torch.errors import DataError
@@ -37,18 +37,21 @@ from apcc_torch.hardware.stop_request import StopRequest
 from apcc_torch.hardware.stops import StopReason
 from apcc_torch.hardware.summary import Summary
 from apcc_torch.hardware.view import TerminalView
+from apcc_torch.messages.live_stream import STREAM
 from apcc_torch.plain_text import plain_logger
 from apcc_torch.report.style import attempt
 from apcc_torch.simulation.divergence import sentence
 from apcc_torch.simulation.kinematic import KinematicLog
 from apcc_torch.simulation.metrics import backbone_error
 from apcc_torch.viewing.drawn_size import DrawnSize
-from apcc_torch.viewing.live_page import Watched
-from apcc_torch.viewing.live_view import LiveView
+from apcc_torch.viewing.live_process import Watched
+from apcc_torch.viewing.live_view import PAGE, LiveView
 from apcc_torch.viewing.outline import Outline
 
 log = plain_logger(__name__)
 
+VIEWS = {BROWSER: ("page", PAGE), FOXGLOVE: ("stream", STREAM)}
+"""What `view` may be beside a terminal -> the settings of its address, and how it is shown."""
 LOG, CONFIG, CALIBRATION = "log.mcap", "config.yaml", "calibration.json"
 
 
@@ -84,11 +87,14 @@ def run(settings: RealtimeSettings, folder: Path) -> tuple[Outcome, dict[str, fl
     log_file = None
     with ExitStack() as stack:
         stack.enter_context(request.on_signals())
+        offset = time.time() - devices.world.clock.now()
         if settings.log:
-            log_file = stack.enter_context(_log(build, devices, attached, folder))
+            log_file = stack.enter_context(_log(build, offset, attached, folder))
             observers.append(log_file)
-        if settings.view == BROWSER:
-            observers.append(stack.enter_context(LiveView(_watched(build), settings.page)))
+        if settings.view in VIEWS:
+            address, showing = VIEWS[settings.view]
+            view = LiveView(_watched(build), getattr(settings, address), showing, offset)
+            observers.append(stack.enter_context(view))
         elif settings.view is True and sys.stdout.isatty():
             observers.append(stack.enter_context(TerminalView(sys.stdout)))
         stack.enter_context(realtime(settings.loop.priority, settings.loop.lock_memory))
@@ -180,12 +186,11 @@ def _seen(decisions: list[Decision], q_true: Tensor, x: Tensor, driven: bool) ->
     return KinematicLog(_stacked("time", decisions), *rows)
 
 
-def _log(build: RealtimeBuilder, devices: Devices, attached: dict[str, str], folder: Path) -> RunLog:
+def _log(build: RealtimeBuilder, offset: float, attached: dict[str, str], folder: Path) -> RunLog:
     try:
         stream = (folder / LOG).open("wb")
     except OSError as error:
         raise DataError(f"the log {folder / LOG} cannot be opened: {error.strerror}") from error
-    offset = time.time() - devices.world.clock.now()
     return RunLog(stream, build.layouts(), offset, {"versions": versions()}, attached)
 
 

@@ -123,7 +123,7 @@ def of_log(log: RobotLog, name: str) -> Recorded:
         raise DataError("the log holds no step of the controller")
     ticks = steps["tick"]
     targets = _at(ticks, log.rows(layouts.target, "tick", "x_d"))["x_d"]
-    frames = _at(ticks, log.rows(layouts.measurement, "tick", "poses", "position_ok", "orientation_ok"))
+    frames = _at(ticks, log.rows(layouts.measurement, "tick", "time", "poses", "position_ok", "orientation_ok"))
     seen = (frames["position_ok"] & frames["orientation_ok"]).astype(bool)
     poses = np.where(seen[..., None, None], frames["poses"].reshape(len(steps), -1, 4, 4), np.nan)
     tendons = _at(ticks, log.rows(layouts.tendons, "tick", "effort"))["effort"]

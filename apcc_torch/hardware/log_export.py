@@ -133,6 +133,22 @@ def write_recording(log: RobotLog, path: Path | str) -> Path:
     Raises:
         DataError: The log lacks measurements or tendons.
     """
+    save_recording(recording_of(log, str(path)), path)
+    return Path(path)
+
+
+def recording_of(log: RobotLog, source: str = "") -> Recording:
+    """The log as a recording: every new frame of the bodies.
+
+    Inputs are the lengths that the tendons were told to pull in, actuators those that were measured, m.
+
+    Args:
+        log: The log.
+        source: Its file.
+
+    Raises:
+        DataError: The log lacks measurements or tendons.
+    """
     frames = _timed(log, "/measurement", "poses", "position_ok", "orientation_ok", "sequence", "tick")
     tendons = _timed(log, "/tendons", "y", "sent", "tick")
     _, first = np.unique(frames["sequence"], return_index=True)
@@ -143,7 +159,7 @@ def write_recording(log: RobotLog, path: Path | str) -> Path:
         raise DataError("the log has no frame of the bodies while their tendons were read")
     poses = torch.from_numpy(frames["poses"].reshape(len(frames), -1, 4, 4).copy())
     ok = torch.from_numpy((frames["position_ok"] & frames["orientation_ok"]).astype(bool))
-    recording = Recording(
+    return Recording(
         tuple(f"body{k + 1}" for k in range(poses.shape[1])),
         torch.from_numpy(frames["time"].copy()),
         poses[..., :3, 3],
@@ -151,7 +167,5 @@ def write_recording(log: RobotLog, path: Path | str) -> Path:
         ok,
         -torch.from_numpy(tendons["sent"][at].copy()),
         -torch.from_numpy(tendons["y"][at].copy()),
-        source=str(path),
+        source=source,
     )
-    save_recording(recording, path)
-    return Path(path)

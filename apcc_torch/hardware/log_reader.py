@@ -28,6 +28,8 @@ EVENT: dict[str, tuple[type, ...]] = {
     "reason": (str, type(None)),
 }
 """What an event has, and of which types."""
+LATEST = 2**62
+"""Latest stamp, ns since 1970."""
 LARGEST = 2**28
 """Largest record of a log that is read, and largest chunk once it is unpacked, bytes."""
 
@@ -39,7 +41,8 @@ class RobotLog:
     metadata: Name to names and texts. attachments: Name to a file's text. topics: Topic to a structured array (T,),
     columns as the log's message definitions say. events: In order. complete: Whether the file was finished; where not,
     all up to the cut is here. damage: A clause for each thing that cannot be read and is left out, or is not as it was
-    written.
+    written. stamps: Topic to (T,) ns since 1970, when each of its messages was logged; `EVENT_TOPIC` has the events'.
+    layouts: Topic to how its messages are laid out.
     """
 
     metadata: dict[str, dict[str, str]]
@@ -48,6 +51,28 @@ class RobotLog:
     events: list[dict[str, object]]
     complete: bool
     damage: list[str] = field(default_factory=list)
+    stamps: dict[str, NDArray[np.int64]] = field(default_factory=dict)
+    layouts: dict[str, Layout] = field(default_factory=dict)
+
+    @property
+    def began(self) -> int:
+        """When the run's time was zero, ns since 1970.
+
+        Raises:
+            DataError: No message tells.
+        """
+        # The start is stamped with it; every turn's stamp is that of its `time`, to what a float64 of seconds holds.
+        for topic, field_name in (("/start", None), ("/timing", "time"), ("/tendons", "time")):
+            rows, stamps = self.topics.get(topic), self.stamps.get(topic)
+            if rows is None or stamps is None or not len(rows):
+                continue
+            if field_name is None:
+                return int(stamps[0])
+            times = rows[field_name] if field_name in (rows.dtype.names or ()) else rows[:0]
+            if times.dtype == np.float64 and times.ndim == 1 and np.isfinite(times).any():
+                k = int(np.isfinite(times).argmax())
+                return int(stamps[k]) - round(1e9 * float(times[k]))
+        raise DataError("the log has no /start, /timing or /tendons, so nobody knows when its time began")
 
     def topic(self, name: str) -> NDArray[np.void]:
         """The messages of a topic.
@@ -90,7 +115,7 @@ def read_log(path: Path | str) -> RobotLog:
     if not (found.kinds["Metadata"] or found.kinds["Message"]):
         raise DataError(f"{path} is not the log of a run, or ends before anything was written")
     damage = found.damage
-    topics, events = _topics(found.kinds, damage)
+    told = _topics(found.kinds, damage)
     attachments = {}
     for record in found.kinds["Attachment"]:
         try:
@@ -98,46 +123,63 @@ def read_log(path: Path | str) -> RobotLog:
         except UnicodeDecodeError:
             damage.append(f"the attached {record.name} is not UTF-8")
     metadata = {record.name: dict(record.metadata) for record in found.kinds["Metadata"]}
-    return RobotLog(metadata, attachments, topics, events, found.complete, damage)
+    return RobotLog(metadata, attachments, told.topics, told.events, found.complete, damage, told.stamps, told.layouts)
 
 
-def _topics(
-    kinds: dict[str, list[Any]], damage: list[str]
-) -> tuple[dict[str, NDArray[np.void]], list[dict[str, object]]]:
+class _Told(NamedTuple):
+    """What the messages say; see `RobotLog`."""
+
+    topics: dict[str, NDArray[np.void]]
+    events: list[dict[str, object]]
+    stamps: dict[str, NDArray[np.int64]]
+    layouts: dict[str, Layout]
+
+
+def _topics(kinds: dict[str, list[Any]], damage: list[str]) -> _Told:
     """Arrays by topic, and the events."""
     schemas = {record.id: record for record in kinds["Schema"]}
     channels = {record.id: record for record in kinds["Channel"]}
-    messages: dict[int, list[bytes]] = defaultdict(list)
+    messages: dict[int, list[Any]] = defaultdict(list)
     for message in kinds["Message"]:
-        messages[message.channel_id].append(message.data)
-    topics: dict[str, NDArray[np.void]] = {}
-    events: list[dict[str, object]] = []
+        messages[message.channel_id].append(message)
+    told = _Told({}, [], {}, {})
     for number, content in messages.items():
         channel = channels.get(number)
         schema = None if channel is None else schemas.get(channel.schema_id)
         if channel is None or schema is None:
             damage.append(f"{len(content)} messages are of a kind that is not described")
         elif channel.topic == EVENT_TOPIC:
-            read = (_event(event, damage) for event in content)
-            events += [event for event in read if event is not None]
+            read = [(message.log_time, _event(message.data, damage)) for message in content]
+            told.events.extend(event for _, event in read if event is not None)
+            earlier = told.stamps.get(EVENT_TOPIC, ())
+            told.stamps[EVENT_TOPIC] = _stamps([*earlier, *(stamp for stamp, event in read if event is not None)])
         else:
             try:
-                rows = _rows(layout_of(schema.name, channel.topic, schema.data.decode()), content, damage)
+                layout = layout_of(schema.name, channel.topic, schema.data.decode())
             except (DataError, UnicodeDecodeError) as error:
                 damage.append(in_a_line(error))
                 continue
             # A device whose raw numbers changed during the run has two layouts; the first stands for the topic.
-            if len(rows):
-                topics.setdefault(channel.topic, rows)
-    return topics, events
+            whole = _whole(layout, content, damage)
+            if whole and channel.topic not in told.topics:
+                told.topics[channel.topic] = layout.unpack([message.data for message in whole])
+                told.stamps[channel.topic] = _stamps([message.log_time for message in whole])
+                told.layouts[channel.topic] = layout
+    return told
 
 
-def _rows(layout: Layout, messages: Sequence[bytes], damage: list[str]) -> NDArray[np.void]:
+def _whole(layout: Layout, messages: Sequence[Any], damage: list[str]) -> list[Any]:
+    """The messages that are as long as their layout says."""
     length = layout.length
-    whole = [message for message in messages if len(message) == length]
+    whole = [message for message in messages if len(message.data) == length]
     if len(whole) < len(messages):
         damage.append(f"{len(messages) - len(whole)} messages of {layout.topic} are not as long as it is described")
-    return layout.unpack(whole)
+    return whole
+
+
+def _stamps(stamps: Sequence[int]) -> NDArray[np.int64]:
+    # A file may say any uint64; what no int64 holds is later than any log.
+    return np.minimum(np.array(stamps, dtype=np.uint64), np.uint64(LATEST)).astype(np.int64)
 
 
 def _event(content: bytes, damage: list[str]) -> dict[str, object] | None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from apcc_torch.recordings.declaration import RecordingSettings
 from apcc_torch.recordings.recorded_arm import recorded_arm
 from apcc_torch.recordings.recording import Recording, save_recording
+from apcc_torch.recordings.recording_bag import save_bag
 from apcc_torch.recordings.recording_file import detect_layout, load_recording
 from apcc_torch.recordings.replay import held_out_error, replay
 from apcc_torch.recordings.replay_log import read_replay, replay_metrics, write_replay
@@ -21,6 +22,7 @@ __all__ = [
     "recorded_arm",
     "replay",
     "replay_metrics",
+    "save_bag",
     "save_recording",
     "write_replay",
 ]

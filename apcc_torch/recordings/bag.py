@@ -2,7 +2,8 @@
 
 Frames are the messages of the first body. Another body is tracked in a frame where it has a message of the same time,
 to half a frame; an input is the last one before it. Times are those of the messages' headers, and where those are
-empty, or there are none, the times at which the bag received them.
+empty, or there are none, the times at which the bag received them. Unless they are named, transforms are no bodies
+where there are poses of another kind, nor is a topic `/target`, where the tip was to go, nor `/actuators` an input.
 """
 
 from __future__ import annotations
@@ -36,6 +37,9 @@ POSES = (
 )
 VALUES = ("JointState", "Float64MultiArray", "Float32MultiArray", "Int32MultiArray", "Float64", "Float32")
 """Kinds of messages, by the last part of their types' names."""
+TRANSFORMS = "TFMessage"
+ACTUATORS, TARGET = "/actuators", "/target"
+"""Topics of what the actuators measured, and of where the tip was to go."""
 
 
 def is_bag(path: Path) -> bool:
@@ -49,10 +53,14 @@ def _within(path: Path) -> list[Path]:
 
 @dataclass
 class Track:
-    """What a topic says, or a frame of it that has a name of its own: stamps, s, and rows of numbers."""
+    """What a topic says, or a frame of it that has a name of its own: stamps, s, and rows of numbers.
+
+    of_transform: Whether it is a transform.
+    """
 
     stamps: list[float] = field(default_factory=list)
     rows: list[tuple[float, ...]] = field(default_factory=list)
+    of_transform: bool = False
 
     def ordered(self) -> tuple[Tensor, Tensor]:
         """Stamps (N,) in order, and the rows (N, n) with them."""
@@ -69,7 +77,9 @@ def bag_frames(path: Path, settings: RecordingSettings, _: int | None = None) ->
         DataError: The bag cannot be read, or has no poses.
     """
     poses, values = _tracks(path, set(settings.inputs))
-    names = settings.named or tuple(poses)
+    target = None if TARGET in settings.named or len(poses) == 1 else poses.pop(TARGET, None)
+    actuators = None if ACTUATORS in settings.inputs else values.pop(ACTUATORS, None)
+    names = settings.named or tuple(name for name in poses if not poses[name].of_transform) or tuple(poses)
     for name in names:
         if name not in poses:
             raise DataError(f"{path}: has no poses {name!r}{did_you_mean(name, poses)}")
@@ -90,8 +100,8 @@ def bag_frames(path: Path, settings: RecordingSettings, _: int | None = None) ->
         times[known],
         RawPoses(pose[..., :3], pose[..., 3:], tracked, ("xyzw",) * len(names)),
         None if held is None else held[known],
-        None,
-        None,
+        _whole(actuators, times[known]),
+        None if target is None else _whole(_first_three(target), times[known]),
         None,
         str(path),
     )
@@ -125,6 +135,16 @@ def _held(track: Track, times: Tensor) -> Tensor:
     return torch.where((at >= 0).unsqueeze(-1), rows[at.clamp(min=0)], torch.nan)
 
 
+def _whole(track: Track | None, times: Tensor) -> Tensor | None:
+    """Values (T, n) of the last message up to each time; None where there are none, or not from the first one on."""
+    held = None if track is None else _held(track, times)
+    return held if held is not None and bool(held.isfinite().all()) else None
+
+
+def _first_three(track: Track) -> Track:
+    return Track(track.stamps, [row[:3] for row in track.rows])
+
+
 def _tracks(path: Path, wanted: set[str]) -> tuple[dict[str, Track], dict[str, Track]]:
     """Topics of poses and of values, or names within them, in the order of their first messages."""
     try:
@@ -146,7 +166,9 @@ def _tracks(path: Path, wanted: set[str]) -> tuple[dict[str, Track], dict[str, T
                 kind, topic = _kind(connection.msgtype), connection.topic
                 found = _poses(kind, topic, message) if kind in POSES else _values(kind, topic, message)
                 for name, stamp, row in found:
-                    track = (poses if kind in POSES else values).setdefault(name, Track())
+                    track = (poses if kind in POSES else values).setdefault(
+                        name, Track(of_transform=kind == TRANSFORMS)
+                    )
                     if track.rows and len(track.rows[0]) != len(row):
                         raise DataError(f"{path}: {name} has {len(track.rows[0])} numbers, later {len(row)}")
                     track.stamps.append(stamp or 1e-9 * received)
@@ -172,7 +194,7 @@ def _stamp(message: Any) -> float:
 
 def _poses(kind: str, topic: str, message: Any) -> Iterator[tuple[str, float, tuple[float, ...]]]:
     """Name, stamp and pose of every body that a message tells of."""
-    if kind == "TFMessage":
+    if kind == TRANSFORMS:
         for transform in _bounded(message.transforms):
             yield transform.child_frame_id, _stamp(transform), _numbers(transform.transform)
     elif kind == "PoseArray":

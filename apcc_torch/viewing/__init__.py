@@ -12,6 +12,7 @@ recorded       a finished run's moments
 player         them, under a time slider
 recent_errors  the error of the last seconds
 live_page      the page of a run on an arm, in a process of its own
+live_process   the process that shows it, and the memory that it shares with the run
 live_view      what the run hands to it
 env_window     an environment's pictures
 """

@@ -1,4 +1,4 @@
-"""A run on an arm in the browser, live: drawn by a process of its own, so that the loop's timing does not feel it.
+"""A run on an arm, live: shown by a process of its own, so that the loop's timing does not feel it.
 
 The loop hands over nothing but a reference. Some twenty times a second a thread copies the last turn into memory that
 the two processes share; turns in between are not shown.
@@ -21,7 +21,8 @@ from apcc_torch.hardware.control import Start
 from apcc_torch.hardware.records import Event, Tick
 from apcc_torch.plain_text import for_terminal, plain_logger
 from apcc_torch.processes import deaf_children
-from apcc_torch.viewing.live_page import FRAME, Watched, sample_in, serve
+from apcc_torch.viewing.live_page import live_page
+from apcc_torch.viewing.live_process import FRAME, Showing, Watched, sample_in, serve
 from apcc_torch.viewing.moment import Array
 from apcc_torch.viewing.page import EXTRA
 from apcc_torch.web_address import WebAddress
@@ -32,26 +33,31 @@ START_TIMEOUT = 120.0
 """Longest that the process may take to begin, s: it imports torch."""
 WAIT = 5.0
 """Longest wait for its end, s."""
+PAGE = Showing("viser", EXTRA, live_page)
+"""On a page in the browser."""
 
 
 class LiveView:
-    """Observes a run, and shows it on a page as long as `with` lasts.
+    """Observes a run, and shows it as long as `with` lasts.
 
     Args:
         watched: The arm.
-        address: Of the page.
+        address: Where it is served.
+        showing: How.
+        offset: What turns the run's clock into seconds since 1970.
 
     Attributes:
         address: With the port that was chosen, from `with` on.
 
     Raises:
-        ConfigError: viser is not installed, or, from `with` on, the port is taken.
+        ConfigError: The library that shows it is not installed, or, from `with` on, the port is taken.
     """
 
-    def __init__(self, watched: Watched, address: WebAddress) -> None:
-        if importlib.util.find_spec("viser") is None:
-            raise ConfigError(EXTRA)
-        self.watched, self.address = watched, address
+    def __init__(self, watched: Watched, address: WebAddress, showing: Showing = PAGE, offset: float = 0.0) -> None:
+        if importlib.util.find_spec(showing.library) is None:
+            raise ConfigError(showing.missing)
+        self.watched, self.address, self.showing, self.offset = watched, address, showing, offset
+        self.began = 0
         self.tick: Tick | None = None
         self.decided: tuple[Tick, Array] | None = None
         self.pi_hat: Array | None = None
@@ -59,7 +65,8 @@ class LiveView:
         self.copies = 0
 
     def on_start(self, start: Start, time: float) -> None:
-        """Nothing to show yet."""
+        """Keeps when the run's time was zero; there is nothing to show yet."""
+        self.began = max(round(1e9 * time) + round(1e9 * self.offset), 0)
 
     def on_tick(self, tick: Tick) -> None:
         """Keeps the turn for the next copy."""
@@ -84,7 +91,7 @@ class LiveView:
         self.sample = sample_in(memory, self.watched)
         self.lock, self.closed = context.Lock(), threading.Event()
         here, there = context.Pipe(duplex=False)
-        arguments = (self.watched, self.address, memory, self.lock, there, os.getpid())
+        arguments = (self.showing.make, self.watched, self.address, memory, self.lock, there, os.getpid())
         self.process = context.Process(target=serve, args=arguments, name="view", daemon=True)
         with deaf_children():
             self.process.start()
@@ -122,6 +129,7 @@ class LiveView:
                 self.sample["state"], self.sample["message"] = event.state.value.encode(), _text(event.message)
             if tick is not None:
                 self.sample["time"], self.sample["overruns"] = tick.time, tick.overruns
+                self.sample["began"] = self.began
                 if tick.reading is not None:
                     self.sample["effort"] = tick.reading.effort
             if decided is not None:
@@ -134,6 +142,7 @@ class LiveView:
 
 def _write(sample: NDArray[np.void], tick: Tick, pi_hat: Array) -> None:
     sample["pi_hat"] = pi_hat
+    sample["stamp"] = tick.decision.time if tick.decision is not None else np.nan
     for name in ("q_bar", "x_d", "e"):
         sample[name] = getattr(tick.decision, name)
     frame = tick.frame

@@ -20,7 +20,7 @@ from apcc_torch.experiments.recorded_run import recorded
 from apcc_torch.viewing.drawn_size import DrawnSize
 from apcc_torch.viewing.env_window import EnvWindow
 from apcc_torch.viewing.follower import Follower
-from apcc_torch.viewing.live_page import Watched
+from apcc_torch.viewing.live_process import Watched
 from apcc_torch.viewing.live_view import LiveView
 from apcc_torch.viewing.outline import Outline
 from apcc_torch.viewing.page import Page
