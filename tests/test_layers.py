@@ -49,7 +49,7 @@ LAYERS: tuple[tuple[str, ...], ...] = (
     ("experiments",),
     ("paper",),
     ("completion", "sweeps"),
-    ("composed", "demo", "new_arm", "robot_log", "simulate"),
+    ("composed", "demo", "model_file", "new_arm", "robot_log", "simulate"),
     ("benchmark", "evaluate", "identify", "report.__main__", "robot", "view"),
 )
 
