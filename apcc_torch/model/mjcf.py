@@ -80,7 +80,7 @@ def _add_sites(sensors: Element, chain: LinkChain, bodies: list[Element]) -> Non
     size = numbers((COLLAR * chain.radius, MARK * chain.radius))
     look = {"type": "cylinder", "size": size, "rgba": "0.85 0.25 0.2 1"}
     for name, k, place in chain.sites():
-        SubElement(bodies[k], "site", name=name, pos=numbers(place), **look)
+        SubElement(bodies[k], "site", {"name": name, "pos": numbers(place)} | look)
         SubElement(sensors, "framepos", name=f"{name}_position", objtype="site", objname=name)
         SubElement(sensors, "framequat", name=f"{name}_orientation", objtype="site", objname=name)
 
