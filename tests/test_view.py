@@ -7,13 +7,16 @@ import signal
 import socket
 import sys
 import threading
+from collections import defaultdict
 from pathlib import Path
 from urllib.request import urlopen
 
+import numpy as np
 import pytest
 
 from apcc_torch import view
 from apcc_torch.errors import ConfigError
+from apcc_torch.experiments.recorded_run import recorded
 from apcc_torch.viewing.page import Page
 from apcc_torch.web_address import WebAddress
 from commands import QUICK, simulate
@@ -70,6 +73,34 @@ def test_a_run_is_served_until_ctrl_c(
     assert ended.value.code == 130 and b"<html" in pages[0]
     assert f"{address.url}: play, or move the time" in said.out and "stopped by Ctrl-C" in said.err
     assert address.free() == address, "the port is given back"
+
+
+def test_a_run_becomes_a_file_for_foxglove(run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("foxglove", reason="foxglove-sdk is not installed")
+    reader = pytest.importorskip("mcap.reader")
+    decoders = [pytest.importorskip(f"mcap_{kind}.decoder").DecoderFactory() for kind in ("protobuf", "ros2")]
+    file = tmp_path / "run.mcap"
+    view.main([str(run), "--foxglove", str(file)])
+    assert capsys.readouterr().out == f"{file}\n"
+    shown, found = recorded(run), defaultdict(list)
+    with file.open("rb") as stream:
+        for _, channel, message, content in reader.make_reader(
+            stream, decoder_factories=decoders
+        ).iter_decoded_messages():
+            found[channel.topic].append((message.log_time, content))
+    assert set(found) == {"/tf", "/sensors", "/tip", "/target", "/arm", "/run"}
+    assert [stamp for stamp, _ in found["/run"]] == [round(1e9 * time) for time in shown.time.tolist()]
+    for k, (_, numbers) in enumerate(found["/run"]):
+        assert np.linalg.norm(np.subtract(numbers.target, numbers.tip)) == pytest.approx(
+            float(shown.error[k, 0]), abs=1e-9
+        )
+        assert np.allclose(numbers.tip, shown.moment(k, 0).tip, atol=1e-12)
+        sensors = shown.moment(k, 0).sensors
+        assert sensors is not None
+        told = [[p.position.x, p.position.y, p.position.z] for p in found["/sensors"][k][1].poses]
+        assert np.allclose(told, sensors[:, :3, 3], atol=1e-12)
+    assert "--foxglove is of a run, and arm_1 is an arm" in refused(capsys, "arm_1", "--foxglove", str(file))
+    assert "row must be 0 to 0, got 3" in refused(capsys, str(run), "--row", "3", "--foxglove", str(file))
 
 
 def test_what_cannot_be_shown_is_refused_in_a_sentence(

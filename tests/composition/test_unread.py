@@ -97,6 +97,7 @@ def test_what_is_refused_changes_nothing() -> None:
         (("calibration.lengths=false",), "calibration.file names none"),
         (("series.figures=false",), "there are no series.runs"),
         (("page.port=81",), "view is not browser"),
+        (("stream.port=81", "view=browser"), "view is not foxglove"),
         (("adaptation.normalisation=3", "controller.adaptive=false"), "controller.adaptive is false"),
     ],
 )
