@@ -13,11 +13,11 @@ from apcc_torch.errors import ConfigError, one_sentence
 from apcc_torch.files import write_atomically
 from apcc_torch.model.arm import Arm
 from apcc_torch.model.link_chain import ChainSettings, LinkChain
-from apcc_torch.model.mjcf import mjcf
-from apcc_torch.model.urdf_file import urdf
+from apcc_torch.model.mjcf import mjcf_text
+from apcc_torch.model.urdf_file import urdf_text
 from apcc_torch.plain_text import for_terminal
 
-FORMATS: dict[str, Callable[[LinkChain], str]] = {".xml": mjcf, ".urdf": urdf}
+FORMATS: dict[str, Callable[[LinkChain], str]] = {".xml": mjcf_text, ".urdf": urdf_text}
 """What a file's name ends with -> what writes it."""
 OVERWRITE = "overwrite=true"
 ELEMENTS = ChainSettings().elements

@@ -18,7 +18,7 @@ from apcc_torch.model.arm import Arm
 from apcc_torch.model.backbone import PCCBackbone
 from apcc_torch.model.link_chain import ChainSettings, LinkChain
 from apcc_torch.model.loads import Loads
-from apcc_torch.model.mjcf import mjcf
+from apcc_torch.model.mjcf import mjcf_text
 from apcc_torch.model.statics import equilibrium
 
 ARMS = ("arm_1", "arm_2", "trunk")
@@ -65,7 +65,7 @@ def main() -> None:
         off, took = np.zeros(3), []
         for name, arm in arms.items():
             chain = LinkChain(arm, ChainSettings(elements=elements))
-            model = mujoco.MjModel.from_xml_string(mjcf(chain))
+            model = mujoco.MjModel.from_xml_string(mjcf_text(chain))
             rests = [AtRest(model, **theirs).data.site("tip").xpos for _, theirs in cases(arm)]
             away = [np.linalg.norm(rest - ours) for rest, ours in zip(rests, tips[name], strict=True)]
             off = np.maximum(off, 100.0 * np.array(away) / chain.length)

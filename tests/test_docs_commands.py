@@ -67,6 +67,8 @@ NEEDS = {
     "sweep=optuna": "hydra_plugins.hydra_optuna_sweeper",
     "torchrl_reach.py": "torchrl",
     "skrl_reach.py": "skrl",
+    "model_files.py": "mujoco",
+    "docs/messages.md 1": "rosbags",
     "docs/environments.md 4": "torchrl",
     "docs/environments.md 5": "skrl",
     "docs/environments.md 6": "minari",

@@ -53,6 +53,10 @@ AWAITED = frozenset(
 """Names without an example as yet; one that gets an example leaves this list."""
 
 
+NEEDS = {"save_bag": "rosbags"}
+"""Name -> the package that its example cannot do without."""
+
+
 def room(name: str) -> ModuleType:
     return importlib.import_module(f"apcc_torch.{name}" if name else "apcc_torch")
 
@@ -102,6 +106,8 @@ def test_example_runs(name: str) -> None:
             compiler()
         except CompileError as error:
             pytest.skip(str(error))
+    if name in NEEDS:
+        pytest.importorskip(NEEDS[name])
     tools = {"torch": torch, "gymnasium": gymnasium, "pi": pi, "Path": Path, "TemporaryDirectory": TemporaryDirectory}
     torch.set_printoptions(profile="default")
     source = example_of(PUBLIC[name])

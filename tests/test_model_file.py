@@ -17,17 +17,16 @@ from apcc_torch.model.arm import Arm
 from apcc_torch.model.backbone import PCCBackbone
 from apcc_torch.model.link_chain import ChainSettings, LinkChain
 from apcc_torch.model.loads import Loads
-from apcc_torch.model.mjcf import mjcf
+from apcc_torch.model.mjcf import mjcf_text
 from apcc_torch.model.statics import equilibrium
 from apcc_torch.model.urdf import joints_between
-from apcc_torch.model.urdf_file import urdf
+from apcc_torch.model.urdf_file import urdf_text
 from apcc_torch.model_file import main
 from laws import generator, uniform
 
 pytest.importorskip("mujoco", reason="mujoco is not installed")
 
 import mujoco
-
 from mujoco_rest import AtRest
 
 kinematics = pytest.importorskip("pytorch_kinematics", reason="pytorch_kinematics is not installed")
@@ -73,7 +72,7 @@ def model(name: str) -> Any:
     said: list[str] = []
     mujoco.set_mju_user_warning(said.append)
     try:
-        loaded = mujoco.MjModel.from_xml_string(mjcf(chain(name)))
+        loaded = mujoco.MjModel.from_xml_string(mjcf_text(chain(name)))
         mujoco.mj_forward(loaded, mujoco.MjData(loaded))
     finally:
         mujoco.set_mju_user_warning(None)
@@ -125,7 +124,7 @@ def test_more_elements_come_closer() -> None:
     tip = poses(arm, equilibrium(arm.dynamics(8), **ours).q, length, 8)[0, :3, 3].numpy()
     off = []
     for elements in (2, 4, 8):
-        loaded = mujoco.MjModel.from_xml_string(mjcf(LinkChain(arm, ChainSettings(elements=elements))))
+        loaded = mujoco.MjModel.from_xml_string(mjcf_text(LinkChain(arm, ChainSettings(elements=elements))))
         off.append(float(np.linalg.norm(AtRest(loaded, **theirs).data.site("tip").xpos - tip)))
     assert off[1] < off[0] / 2 and off[2] < off[1] / 2
 
@@ -173,7 +172,7 @@ def test_everything_has_a_name_and_its_number() -> None:
 
 @pytest.mark.parametrize("name", ARMS)
 def test_the_urdf_has_the_arms_places_and_masses(name: str) -> None:
-    arm, text = ARMS[name], urdf(chain(name))
+    arm, text = ARMS[name], urdf_text(chain(name))
     root = ElementTree.fromstring(text)
     mass = sum(float(each.get("value", "0")) for each in root.iter("mass"))
     assert mass == pytest.approx(float(arm.section_masses().sum()), rel=1e-9)
@@ -196,7 +195,7 @@ def test_the_urdf_has_the_arms_places_and_masses(name: str) -> None:
 
 
 def test_the_urdf_loads_in_mujoco_with_the_same_masses() -> None:
-    loaded = mujoco.MjModel.from_xml_string(urdf(chain("arm_1")))
+    loaded = mujoco.MjModel.from_xml_string(urdf_text(chain("arm_1")))
     same = model("arm_1")
     assert loaded.nv == same.nv and [loaded.joint(k).name for k in range(loaded.njnt)] == [
         same.joint(k).name for k in range(same.njnt)
@@ -225,10 +224,10 @@ def test_a_bend_at_rest_is_the_zero_of_both() -> None:
     bent = LinkChain(arm, ChainSettings(elements=20))
     q = torch.tensor([0.4, 0.0, 0.0, 0.0, -0.3, 0.0], dtype=D)
     tip = PCCBackbone(2, arm.base_rotation()).tip(q, arm.rest_lengths())
-    tree = kinematics.build_chain_from_urdf(urdf(bent).encode()).to(dtype=D)
+    tree = kinematics.build_chain_from_urdf(urdf_text(bent).encode()).to(dtype=D)
     zero = torch.zeros(len(tree.get_joint_parameter_names()), dtype=D)
     assert torch.allclose(tree.forward_kinematics(zero)["tip"].get_matrix()[0, :3, 3], tip, atol=2e-4)
-    rest = AtRest(mujoco.MjModel.from_xml_string(mjcf(bent)))
+    rest = AtRest(mujoco.MjModel.from_xml_string(mjcf_text(bent)))
     assert rest.data.site("tip").xpos == pytest.approx(tip.numpy(), abs=1e-3)
 
 

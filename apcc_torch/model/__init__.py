@@ -16,11 +16,14 @@ from apcc_torch.model.dynamics_regressor import DynamicsRegressor
 from apcc_torch.model.friction import TendonTransmission, TendonTransmissionSettings
 from apcc_torch.model.integrators import Actuation, ArmState, rk4_step, rosenbrock_step, semi_implicit_step
 from apcc_torch.model.kinematic_model import KinematicModel
+from apcc_torch.model.link_chain import ChainSettings, LinkChain
 from apcc_torch.model.loads import Loads
+from apcc_torch.model.mjcf import mjcf_text
 from apcc_torch.model.static_body import StaticBody
 from apcc_torch.model.statics import equilibrium, load_stiffness
 from apcc_torch.model.stiffness import scaled_stiffness
 from apcc_torch.model.tendons import TendonRouting, rack_routing
+from apcc_torch.model.urdf_file import urdf_text
 
 __all__ = [
     "Actuation",
@@ -28,12 +31,14 @@ __all__ = [
     "AffineSettings",
     "Arm",
     "ArmState",
+    "ChainSettings",
     "ConstantStrainBackbone",
     "ConstantStrainSettings",
     "Coordinate",
     "Coordinates",
     "DynamicsRegressor",
     "KinematicModel",
+    "LinkChain",
     "Loads",
     "PCCBackbone",
     "SoftArmDynamics",
@@ -44,9 +49,11 @@ __all__ = [
     "decouple",
     "equilibrium",
     "load_stiffness",
+    "mjcf_text",
     "rack_routing",
     "rk4_step",
     "rosenbrock_step",
     "scaled_stiffness",
     "semi_implicit_step",
+    "urdf_text",
 ]

@@ -16,7 +16,7 @@ COLLAR = 1.15
 """Radius of a sensor's site over that of the links."""
 
 
-def mjcf(chain: LinkChain) -> str:
+def mjcf_text(chain: LinkChain) -> str:
     """The model's text.
 
     Element K, from 1, has joints `bend_x_K`, `bend_y_K`, `stretch_Ka` and `stretch_Kb`; a section's dx is the sum of
@@ -27,7 +27,7 @@ def mjcf(chain: LinkChain) -> str:
         chain: The arm's.
 
     Example:
-        >>> text = mjcf(LinkChain(Arm(lengths=[0.2, 0.25]), ChainSettings(elements=2)))
+        >>> text = mjcf_text(LinkChain(Arm(lengths=[0.2, 0.25]), ChainSettings(elements=2)))
         >>> text.count("<joint "), text.count("<spatial "), text.count("<motor ")
         (16, 6, 6)
     """

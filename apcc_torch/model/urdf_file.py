@@ -25,7 +25,7 @@ SWIFT = 10.0
 """Largest speed of a joint over its upper limit, 1/s."""
 
 
-def urdf(chain: LinkChain) -> str:
+def urdf_text(chain: LinkChain) -> str:
     """The URDF's text.
 
     Links and joints have the names of the MJCF, with a link `link_K_bend` between two bends; `sensor_S` and `tip` are
@@ -35,7 +35,7 @@ def urdf(chain: LinkChain) -> str:
         chain: The arm's.
 
     Example:
-        >>> text = urdf(LinkChain(Arm(lengths=[0.2, 0.25]), ChainSettings(elements=2)))
+        >>> text = urdf_text(LinkChain(Arm(lengths=[0.2, 0.25]), ChainSettings(elements=2)))
         >>> text.count('type="revolute"'), text.count('type="prismatic"')
         (8, 8)
     """
