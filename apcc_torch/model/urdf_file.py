@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
+from typing import NamedTuple
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
 
@@ -23,6 +24,17 @@ SHARE = 0.05
 """Of a link's mass, what the link between its two bends has: simulators want mass behind every joint."""
 SWIFT = 10.0
 """Largest speed of a joint over its upper limit, 1/s."""
+
+
+class _Move(NamedTuple):
+    """One of a joint's moves: its axis, its origin on the link before it, and its limits, rad or m."""
+
+    name: str
+    axis: tuple[float, float, float]
+    xyz: tuple[float, float, float]
+    rpy: tuple[float, float, float]
+    lower: float
+    upper: float
 
 
 def urdf_text(chain: LinkChain) -> str:
@@ -47,19 +59,21 @@ def urdf_text(chain: LinkChain) -> str:
     _add_link(root, "base", chain.links[0], chain.links[0].mass, chain.radius)
     before, elements = "base", len(chain.lengths) // chain.arm.n_sections
     for k, (joint, link) in enumerate(zip(chain.joints, chain.links[1:], strict=True), 1):
-        place = (0.0, 0.0, chain.links[k - 1].length)
+        here, there = (0.0, 0.0, 0.0), (0.0, 0.0, chain.links[k - 1].length)
         if joint.bends:
             between = f"link_{k}_bend"
             light = Link(link.begin, 0.0, SHARE * link.mass, 0.0, SHARE * link.across, SHARE * link.along)
             _add_link(root, between, light, light.mass, chain.radius)
-            most, (x, y), here = BEND / elements, joint.rest, (0.0, 0.0, 0.0)
-            _join(root, chain, joint, "bend_x", (before, between), place, (0.0, x, 0.0), X, -most, most)
-            _join(root, chain, joint, "bend_y", (between, f"link_{k}"), here, (-y, 0.0, 0.0), Y, -most, most)
+            most, (x, y) = BEND / elements, joint.rest
+            first = _Move("bend_x", X, there, (0.0, x, 0.0), -most, most)
+            second = _Move("bend_y", Y, here, (-y, 0.0, 0.0), -most, most)
+            _join(root, joint, first, before, between, chain.damping)
+            _join(root, joint, second, between, f"link_{k}", chain.damping)
             _add_link(root, f"link_{k}", link, (1.0 - SHARE) * link.mass, chain.radius)
         else:
             shorter, longer = -0.5 * SHORTER * joint.length, 0.5 * LONGER * joint.length
-            ends = (before, f"link_{k}")
-            _join(root, chain, joint, "stretch", ends, place, (0.0, 0.0, 0.0), Z, shorter, longer)
+            stretch = _Move("stretch", Z, there, here, shorter, longer)
+            _join(root, joint, stretch, before, f"link_{k}", chain.damping)
             _add_link(root, f"link_{k}", link, link.mass, chain.radius)
         before = f"link_{k}"
     _add_sites(root, chain)
@@ -84,28 +98,18 @@ def _add_link(root: Element, name: str, link: Link, mass: float, radius: float) 
         SubElement(SubElement(shape, "geometry"), "cylinder", radius=number(radius), length=number(link.length))
 
 
-def _join(
-    root: Element,
-    chain: LinkChain,
-    joint: Joint,
-    name: str,
-    ends: tuple[str, str],
-    xyz: Iterable[float],
-    rpy: Iterable[float],
-    axis: Iterable[float],
-    lower: float,
-    upper: float,
-) -> None:
+def _join(root: Element, joint: Joint, move: _Move, parent: str, child: str, damping: float) -> None:
+    """A joint of the file; `damping` is over the stiffness, s."""
     kind = "revolute" if joint.bends else "prismatic"
-    element = SubElement(root, "joint", name=f"{name}_{joint.name}", type=kind)
-    SubElement(element, "parent", link=ends[0])
-    SubElement(element, "child", link=ends[1])
-    SubElement(element, "origin", xyz=numbers(xyz), rpy=numbers(rpy))
-    SubElement(element, "axis", xyz=numbers(axis))
-    effort, velocity = joint.stiffness * upper, SWIFT * upper
-    limits = {"lower": lower, "upper": upper, "effort": effort, "velocity": velocity}
+    element = SubElement(root, "joint", name=f"{move.name}_{joint.name}", type=kind)
+    SubElement(element, "parent", link=parent)
+    SubElement(element, "child", link=child)
+    SubElement(element, "origin", xyz=numbers(move.xyz), rpy=numbers(move.rpy))
+    SubElement(element, "axis", xyz=numbers(move.axis))
+    effort, velocity = joint.stiffness * move.upper, SWIFT * move.upper
+    limits = {"lower": move.lower, "upper": move.upper, "effort": effort, "velocity": velocity}
     SubElement(element, "limit", {what: number(value) for what, value in limits.items()})
-    SubElement(element, "dynamics", damping=number(chain.damping * joint.stiffness), friction="0")
+    SubElement(element, "dynamics", damping=number(damping * joint.stiffness), friction="0")
 
 
 def _add_sites(root: Element, chain: LinkChain) -> None:
