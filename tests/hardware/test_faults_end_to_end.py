@@ -26,11 +26,11 @@ from hydra.types import RunMode
 
 from apcc_torch import robot
 from apcc_torch.hardware.control import Control
-from apcc_torch.hardware.dynamixel.port import BusPort
 from apcc_torch.hardware.interfaces import PoseSample
 from apcc_torch.hardware.log_reader import RobotLog, read_log
 from apcc_torch.hardware.loop import Loop
 from apcc_torch.hardware.sensing import GatedFrame, Sensing
+from apcc_torch.hardware.servos.port import BusPort
 from apcc_torch.hardware.stops import StopReason
 from apcc_torch.robot_log import main as robot_log
 from hardware.emulators.rig import MOTORS, EmulatedPlatform

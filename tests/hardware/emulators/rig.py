@@ -13,9 +13,9 @@ from typing import Self
 import numpy as np
 
 from hardware.emulators.arm import EmulatedArm
+from hardware.emulators.line import positions_file
 from hardware.emulators.natnet_server import NatNetServer
 from hardware.emulators.servo.emulator import ServoEmulator
-from hardware.emulators.servo.line import positions_file
 
 MOTORS = tuple(range(11, 20))
 ZEROS = tuple(9000 * (motor - 15) + 17 for motor in MOTORS)  # many turns away from the encoders' own
