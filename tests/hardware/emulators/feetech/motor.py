@@ -170,7 +170,7 @@ class Motor:
             straight = max(0.0, (abs(error) - top / GAIN) / top)
             left = max(abs(error) - top * min(dt, straight), 0.0) * exp(-GAIN * max(0.0, dt - straight))
             self.position += error - (left if error > 0 else -left)
-        self.reach = (min(self.reach[0], self.position), max(self.reach[1], self.position))
+            self.reach = (min(self.reach[0], self.position), max(self.reach[1], self.position))
         self._show((self.position - before) / dt if dt > 0 else 0.0)
 
     def read(self, address: int, length: int) -> bytes:

@@ -106,7 +106,7 @@ class Motor:
         self.tracks = False  # whether the goal follows the position while torque is off
         self.goals: list[int] = []  # every goal position that was written, taken or refused
         self.told = 0  # how many goals, of position or velocity
-        self.reach = (float(position), float(position))  # the least and the greatest position so far
+        self.reach = (float(position), float(position))  # the least and the greatest position with torque
         self.refused = 0
         self.goal_time = now
         self.held: float | None = None  # s between its last goal and the order to let go; None while it holds torque
@@ -223,7 +223,8 @@ class Motor:
         self._moved(before, dt)
 
     def _moved(self, before: float, dt: float) -> None:
-        self.reach = (min(self.reach[0], self.position), max(self.reach[1], self.position))
+        if self.memory[TORQUE]:
+            self.reach = (min(self.reach[0], self.position), max(self.reach[1], self.position))
         self._show((self.position - before) / dt if dt > 0 else 0.0)
 
     def _address(self, address: int) -> int:
