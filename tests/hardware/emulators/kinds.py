@@ -22,8 +22,8 @@ class Kind:
     """One kind of motors.
 
     program: Of the emulator. preset: Of conf/hardware. turn: Ticks between the zeros of two motors. settings: Of the
-    actuator, where they are not those of all. prompt: Those that a machine with free cores can keep. models: By id. before: What the motors are told when they are new.
-    watchdog: Whether they stop by themselves.
+    actuator, where they are not those of all. prompt: Those that a machine with free cores can keep. models: By id.
+    before: What the motors are told when they are new. watchdog: Whether they stop by themselves.
     """
 
     name: str
