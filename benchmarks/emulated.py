@@ -98,9 +98,7 @@ def main() -> int:
     parser.add_argument("overrides", nargs="*", help="settings of apcc_torch.robot, as key=value")
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
-        found = measure(
-            KINDS[arguments.motors], arguments.rate, arguments.seconds, Path(folder), arguments.overrides
-        )
+        found = measure(KINDS[arguments.motors], arguments.rate, arguments.seconds, Path(folder), arguments.overrides)
     shown = ("reason", "message", "turns", "control_steps", "late_turns", "missed_deadlines")
     for name in (*shown, "missed_deadlines_in_a_window_max", "failed_exchanges", "replay_difference_m"):
         print(f"{name:<33} {found.get(name)}")

@@ -97,7 +97,7 @@ def _model(
     return Model(number, name, unit, largest, velocity, gains, slots, shutdown, *stall, speed, firmware)
 
 
-def model_of(number: int) -> Model:
+def model_of(number: float) -> Model:
     """The model of a number.
 
     Raises:
@@ -106,5 +106,5 @@ def model_of(number: int) -> Model:
     known = models()
     if number not in known:
         names = ", ".join(f"{each.number} ({each.name})" for each in known.values())
-        raise ConfigError(f"model_number must be one of {names}, got {number}")
-    return known[number]
+        raise ConfigError(f"model_number must be one of {names}, got {number:g}")
+    return known[round(number)]

@@ -12,14 +12,9 @@ from apcc_torch.errors import CommunicationError, DeviceFaultError, HardwareErro
 from apcc_torch.hardware.dynamixel.bus import DynamixelBus
 from apcc_torch.hardware.dynamixel.models import Model
 from apcc_torch.hardware.dynamixel.registers import (
-    ACCELERATION_UNIT,
     BUS_WATCHDOG,
-    CURRENT_LIMIT,
     DRIVE_MODE,
-    FEEDFORWARD_1ST_GAIN,
-    FEEDFORWARD_2ND_GAIN,
     FIRMWARE_VERSION,
-    GOAL_CURRENT,
     GOAL_POSITION,
     GOAL_PWM,
     GOAL_VELOCITY,
@@ -27,40 +22,25 @@ from apcc_torch.hardware.dynamixel.registers import (
     HOMING_OFFSET,
     INDIRECT_ADDRESS,
     MAX_POSITION,
-    MAX_POSITION_LIMIT,
     MAX_PWM,
-    MIN_POSITION_LIMIT,
     MODEL_NUMBER,
-    NO_SECONDARY_ID,
     OPERATING_MODE,
-    OPERATING_MODES,
-    POSITION_D_GAIN,
-    POSITION_I_GAIN,
-    POSITION_P_GAIN,
     PRESENT_INPUT_VOLTAGE,
     PRESENT_POSITION,
-    PROFILE_ACCELERATION,
-    PROFILE_VELOCITY,
-    PWM_LIMIT,
-    RETURN_DELAY,
     SECONDARY_ID,
-    SHUTDOWN,
-    STARTUP_CONFIGURATION,
-    STATUS_RETURN_LEVEL,
     TORQUE_ENABLE,
-    VELOCITY_LIMIT,
     VELOCITY_UNIT,
     VOLTAGE_UNIT,
     hardware_errors,
 )
 from apcc_torch.hardware.dynamixel.settings import VELOCITY, DynamixelSettings
 from apcc_torch.hardware.dynamixel.status import (
-    ANSWERS_EVERYTHING,
     STATUS_LENGTH,
     MotorStatus,
     indirect_addresses,
 )
 from apcc_torch.hardware.dynamixel.velocity_loop import VelocityLoop
+from apcc_torch.hardware.dynamixel.wanted import Wanted, of_armed, of_connected
 from apcc_torch.hardware.dynamixel.zero_mark import check_mark, erase_mark, leave_mark
 from apcc_torch.hardware.interfaces import Array
 from apcc_torch.hardware.servos.bus import raise_all
@@ -73,7 +53,6 @@ from apcc_torch.plain_text import plain_logger
 log = plain_logger(__name__)
 
 LOST_TURN = TICKS_PER_TURN // 4
-Wanted = list[tuple[Register, int]]
 
 
 class Motors(ServoMotors):
@@ -132,44 +111,8 @@ class Motors(ServoMotors):
         if errors := self.bus.read(motor, HARDWARE_ERROR):
             raise DeviceFaultError(f"{name} reports {hardware_errors(errors)}: turn its power off and on")
 
-    def _connected(self, motor: int) -> Wanted:
-        """What scales, shifts or limits a motor's motion, and what the driver lives by, in the order of writing."""
-        model = self.models[motor]
-        P, I, D = self.settings.position_gains or model.gains  # noqa: E741 - as they are called
-        current = [(CURRENT_LIMIT, model.current_ticks(self.currents[motor]))] if model.current_unit else []
-        return [
-            (RETURN_DELAY, 0),
-            (DRIVE_MODE, 0),
-            (OPERATING_MODE, OPERATING_MODES[self.modes[motor]]),
-            (SECONDARY_ID, NO_SECONDARY_ID),
-            (PWM_LIMIT, MAX_PWM),
-            *current,
-            (VELOCITY_LIMIT, model.velocity_limit),
-            (MAX_POSITION_LIMIT, TICKS_PER_TURN - 1),
-            (MIN_POSITION_LIMIT, 0),
-            (STARTUP_CONFIGURATION, 0),
-            (SHUTDOWN, model.shutdown),
-            (STATUS_RETURN_LEVEL, ANSWERS_EVERYTHING),
-            (POSITION_P_GAIN, P),
-            (POSITION_I_GAIN, I),
-            (POSITION_D_GAIN, D),
-            (FEEDFORWARD_1ST_GAIN, 0),
-            (FEEDFORWARD_2ND_GAIN, 0),
-        ]
-
     def _armed(self, motor: int) -> Wanted:
-        """What a tripped watchdog has dropped, and what else limits the motion and does not outlive a restart."""
-        model = self.models[motor]
-        wanted = [
-            (PROFILE_ACCELERATION, round(self.settings.profile_acceleration / ACCELERATION_UNIT)),
-            (PROFILE_VELOCITY, round(self.settings.profile_velocity / VELOCITY_UNIT)),
-            (GOAL_PWM, self._pwm(motor)),
-        ]
-        if model.current_unit:
-            wanted.append((GOAL_CURRENT, model.current_ticks(self.currents[motor])))
-        if motor in self.loop.motors:
-            wanted.append((GOAL_VELOCITY, 0))
-        return wanted
+        return of_armed(self.settings, motor, self._pwm(motor))
 
     def _pwm(self, motor: int) -> int:
         """What a motor may take of the supply's voltage, as it is now."""
@@ -187,7 +130,7 @@ class Motors(ServoMotors):
             CommunicationError: A motor does not answer.
             DeviceFaultError: A motor does not take a setting; the sentence says what it has and what is needed.
         """
-        needed = {motor: dict(self._connected(motor)) for motor in self.ids}
+        needed = {motor: dict(of_connected(self.settings, motor)) for motor in self.ids}
         for register in dict.fromkeys(register for wanted in needed.values() for register in wanted):
             ids = [motor for motor in self.ids if register in needed[motor]]
             found = self.bus.sync_read(ids, register.address, register.length)
@@ -312,6 +255,8 @@ class Motors(ServoMotors):
         if direct:
             self.bus.sync_write(GOAL_POSITION, direct)
         if self.loop.motors:
+            if hold:  # motors that are left out stand where they are
+                self.loop.goals.clear()
             self.loop.goals.update({motor: goal for motor, goal in goals.items() if motor in self.loop.motors})
             self._write_velocities()
 

@@ -150,7 +150,7 @@ class DynamixelSettings(ServoSettings):
     @property
     def tendon_models(self) -> tuple[Model, ...]:
         """The model of each tendon's motor. Raises ConfigError where a number is not known."""
-        return tuple(model_of(round(number)) for number in self.each("model_number"))
+        return tuple(model_of(number) for number in self.each("model_number"))
 
     @property
     def models(self) -> dict[int, Model]:

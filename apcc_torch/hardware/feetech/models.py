@@ -39,7 +39,7 @@ def models() -> dict[int, Model]:
     return {number: Model(number, **row) for number, row in rows.items()}
 
 
-def model_of(number: int) -> Model:
+def model_of(number: float) -> Model:
     """The model of a number.
 
     Raises:
@@ -48,5 +48,5 @@ def model_of(number: int) -> Model:
     known = models()
     if number not in known:
         names = ", ".join(f"{each.number} ({each.name})" for each in known.values())
-        raise ConfigError(f"model_number must be one of {names}, got {number}")
-    return known[number]
+        raise ConfigError(f"model_number must be one of {names}, got {number:g}")
+    return known[round(number)]

@@ -66,10 +66,11 @@ class FeetechSettings(ServoSettings):
         if gains is not None and (len(gains) != 3 or any(not isinstance(gain, int) for gain in gains)):
             raise ConfigError(f"position_gains must be three whole numbers, P, I and D, got {gains}")
         self.each("torque_limit")
-        assert self.models
+        for number in self.each("model_number"):
+            model_of(number)
 
     @property
     def models(self) -> dict[int, Model]:
         """The model of each motor by its id. Raises ConfigError where a number is not known."""
         numbers = self.each("model_number")
-        return {motor: model_of(round(number)) for motor, number in zip(self.ids, numbers, strict=True)}
+        return {motor: model_of(number) for motor, number in zip(self.ids, numbers, strict=True)}

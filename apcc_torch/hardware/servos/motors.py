@@ -26,15 +26,10 @@ class ServoStatus(Protocol):
     @property
     def position(self) -> int:
         """Ticks."""
-        raise NotImplementedError
 
     @property
     def restarted(self) -> bool:
         """Whether the motor has lost what connecting wrote, and with it its count of turns."""
-        raise NotImplementedError
-
-    def _asdict(self) -> dict[str, Any]:
-        raise NotImplementedError
 
 
 class ServoMotors(ABC):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -79,8 +80,10 @@ def test_tendons_move_and_a_calibration_outlives_the_program(mixed: ServoEmulato
         actuator.arm()
         y = np.linspace(-0.001, -0.009, 9)
         sent = actuator.send(y)
-        for _ in range(200):
+        for _ in range(100):  # a second at 100 Hz, and no exchange fails
             actuator.read()
+            actuator.send(y)
+            time.sleep(0.01)
         assert np.abs(actuator.read().y - sent).max() < 2e-4
     with configured(mixed.link) as later:
         later.restore(zero)
@@ -92,7 +95,7 @@ def test_tendons_move_and_a_calibration_outlives_the_program(mixed: ServoEmulato
 
 @pytest.mark.parametrize("k", [0, BLIND, SMALL])
 def test_a_motor_that_is_not_heard_is_named(mixed: ServoEmulator, k: int) -> None:
-    with configured(mixed.link, reply_timeout=0.3) as actuator:
+    with configured(mixed.link) as actuator:
         actuator.calibrate()
         mixed.do("corrupt", TENDONS[k], count=1)
         with pytest.raises(CommunicationError, match=rf"^motor {k + 1} \(id {TENDONS[k]}\): corrupt reply$"):

@@ -26,7 +26,7 @@ def settings(port: Path, **changes: Any) -> FeetechSettings:
         "signs": SIGNS,
         "lower": LOWER,
         "upper": (0.0,) * 9,
-        "reply_timeout": 0.5,
+        "reply_timeout": 0.9,
     }
     return FeetechSettings(**(base | changes))
 

@@ -113,6 +113,16 @@ def test_tendons_go_where_they_are_sent_across_turns_and_zero(armed: FeetechActu
         assert SIGNS[k] * tick[k] * ticks == pytest.approx(sent[k], abs=1e-12)
 
 
+def test_a_second_at_100_hz(armed: FeetechActuator) -> None:
+    """No exchange fails, and the tendons follow a ramp."""
+    for k in range(100):
+        assert np.isfinite(armed.read().y).all()
+        sent = armed.send(np.full(9, -1e-4 * k))
+        time.sleep(0.01)
+    settle(armed, 0.3)
+    assert np.abs(armed.read().y - sent).max() < 2e-4
+
+
 def test_send_stays_within_the_limits_and_refuses_what_is_no_command(armed: FeetechActuator) -> None:
     tick = np.array(RADII) * 2 * pi / 4096
     low = armed.send(np.full(9, -1e12))
