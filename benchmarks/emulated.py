@@ -5,6 +5,8 @@ process of its own; in between is an arm that follows the tendons by kinematics.
 first as on the arm. It fails, with exit code 1, where the budget of missed deadlines is spent, where one exchange with
 a motor fails, or where the log replays to other commands. Three processes need as many free cores: deadlines that a
 busy machine misses say nothing about the runner.
+
+`--motors` takes other motors: Dynamixels that are told velocities, of mixed models, or Feetech's.
 """
 
 from __future__ import annotations
@@ -26,6 +28,7 @@ from apcc_torch.hardware.records import Outcome
 from apcc_torch.hardware.stops import StopReason
 from apcc_torch.hardware.summary import STAGES
 from composed import composed_realtime
+from hardware.emulators.kinds import DYNAMIXEL, KINDS, Kind
 from hardware.emulators.rig import EmulatedPlatform
 
 # What the guards are on the arm: more than 5 missed deadlines in a second end the run.
@@ -36,11 +39,12 @@ SAME = 1e-9  # m between a command and its replay
 CURVE = ("experiment=tracking", "experiment.payloads=[0.0]", "experiment.A=[0.1,0.1,0.03]", "loop.hold=0.0")
 
 
-def measure(rate: float, seconds: float, folder: Path, more: list[str]) -> dict[str, float | str]:
+def measure(kind: Kind, rate: float, seconds: float, folder: Path, more: list[str]) -> dict[str, float | str]:
     """One run at a rate; its metrics, how it ended, and the exchanges that failed."""
-    with EmulatedPlatform(folder, rate) as emulated:
+    with EmulatedPlatform(folder, rate, kind) as emulated:
         file = folder / "arm.json"
-        common = [*emulated.overrides, "view=false", f"calibration.file={file}"]
+        prompt = [f"hardware.actuator.{key}={value}" for key, value in kind.prompt.items()]
+        common = [*emulated.overrides, *prompt, "view=false", f"calibration.file={file}"]
         outcome, _ = arm_calibration.run(composed_realtime("experiment=calibration", *common), folder)
         if outcome.reason is not StopReason.COMPLETED:
             return {"reason": outcome.reason.value, "message": outcome.message}
@@ -87,13 +91,14 @@ def failures(found: dict[str, float | str]) -> list[str]:
 def main() -> int:
     """Measures once; the exit code is 0 where the run came to its end with its budget kept and no failed exchange."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--motors", choices=tuple(KINDS), default=DYNAMIXEL.name)
     parser.add_argument("--rate", type=float, default=100.0, help="of the loop and of the cameras, Hz")
     parser.add_argument("--seconds", type=float, default=60.0)
     parser.add_argument("--out", type=Path, default=Path("emulated.json"))
     parser.add_argument("overrides", nargs="*", help="settings of apcc_torch.robot, as key=value")
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
-        found = measure(arguments.rate, arguments.seconds, Path(folder), arguments.overrides)
+        found = measure(KINDS[arguments.motors], arguments.rate, arguments.seconds, Path(folder), arguments.overrides)
     shown = ("reason", "message", "turns", "control_steps", "late_turns", "missed_deadlines")
     for name in (*shown, "missed_deadlines_in_a_window_max", "failed_exchanges", "replay_difference_m"):
         print(f"{name:<33} {found.get(name)}")
@@ -102,7 +107,7 @@ def main() -> int:
             shares = (float(found[f"{stage}_{part}_us"]) for part in ("p50", "p99", "max"))
             print(f"{stage:<33} {' / '.join(f'{value:.0f}' for value in shares)} us (p50 / p99 / max)")
     machine = {"processor": platform.machine(), "cores": os.cpu_count() or 0, "load_average": os.getloadavg()[0]}
-    write_json(arguments.out, {"run": found, "machine": machine})
+    write_json(arguments.out, {"motors": arguments.motors, "run": found, "machine": machine})
     wrong = failures(found)
     print(
         f"failed: {'; '.join(wrong)}" if wrong else f"passed: at most {OVERRUNS} missed deadlines in any {WINDOW:g} s"

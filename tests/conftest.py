@@ -53,6 +53,12 @@ settings.register_profile("fixed", settings.get_profile("local"), derandomize=Tr
 settings.load_profile("fixed" if os.environ.get("CI") else "local")
 
 
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption(
+        "--every-kind", action="store_true", help="run the whole table of faults on every kind of emulated motors"
+    )
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Long files begin first, then those of the most tests."""
     tests = Counter(item.path for item in items)

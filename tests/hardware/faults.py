@@ -20,7 +20,8 @@ from apcc_torch.errors import ValueRangeError
 from apcc_torch.hardware.control import Decision
 from apcc_torch.hardware.loop import Loop
 from apcc_torch.hardware.stops import StopReason
-from hardware.emulators.rig import MOTORS, EmulatedPlatform
+from hardware.emulators.kinds import FEETECH, MOTORS, Kind
+from hardware.emulators.rig import EmulatedPlatform
 from hardware.platform_runs import SLOW
 
 R = StopReason
@@ -116,6 +117,13 @@ class Fault:
     def every() -> list[Fault]:
         """The whole table."""
         return [*MOTORS_WRONG, *CAMERAS_WRONG, *CONTROLLER_WRONG, *COMPUTER_WRONG, *WRONG_FROM_THE_START]
+
+    @staticmethod
+    def on(kind: Kind) -> list[Fault]:
+        """The whole table for other motors: what their registers, units and protections make of its rows."""
+        others = OTHERS.get(kind.name, {})
+        table = [others.get(fault.name, fault) for fault in Fault.every()]
+        return [fault for fault in table if fault is not None]
 
     @staticmethod
     def survived(name: str, make: Make) -> Fault:
@@ -321,3 +329,21 @@ WRONG_FROM_THE_START = [
     first("no cameras", mocap(mute=True), "no NatNet server answers", "hardware.sensor.connect_timeout=0.5"),
     first("untracked from the start", mocap(untracked=[3]), "complete", "loop.fresh_timeout=0.5", reason=R.NOT_ARMED),
 ]
+
+# Rows that Feetech's servos have otherwise; None: what does not exist there. They have no watchdog, and no firmware is
+# too old.
+STS_ROWS = [
+    reported("a hardware error bit", servo("poke", address=65, length=1, value=4), "reports overheating"),
+    reported("an overload", servo("overload"), "reports overload"),
+    failed("replies that are too short", servo("short", amount=2), "motor 4 .*29 bytes of data instead of 31"),
+    Fault("a pull above the limit", servo("load", current=250), R.OVER_EFFORT, "^tendon 4 pulled 14", HELD),
+    Fault("a pull above the cap", servo("load", current=500), R.EFFORT_CAP, "^tendon 4 pulls 29", LET_GO),
+    first("a wrong model", servo("poke", address=3, length=2, value=2825), f"{NAME} is model 2825, not 777"),
+    first("homing offset", servo("poke", address=31, length=2, value=100), f"{NAME} has position offset 100, needs 0"),
+    first("torque already on", servo("poke", address=40, length=1, value=1), f"{NAME} holds torque", torqued=MOTOR),
+    first("a hardware error from before", servo("poke", address=65, length=1, value=32), f"{NAME} reports overload"),
+]
+NOT_THERE = ("a tripped bus watchdog", "too old a firmware")
+OTHERS: dict[str, dict[str, Fault | None]] = {
+    FEETECH.name: {fault.name: fault for fault in STS_ROWS} | dict.fromkeys(NOT_THERE)
+}

@@ -16,7 +16,8 @@ from apcc_torch.composition.realtime import RealtimeSettings
 from apcc_torch.experiments import calibrate as arm_calibration
 from apcc_torch.hardware.stops import StopReason
 from composed import composed_realtime
-from hardware.emulators.rig import MOTORS, EmulatedPlatform
+from hardware.emulators.kinds import MOTORS
+from hardware.emulators.rig import EmulatedPlatform
 
 ROOT = Path(apcc_torch.__file__).resolve().parents[1]
 # A busy machine may starve the loop: these runs are about how they end.
@@ -73,4 +74,4 @@ def until(condition: Callable[[], bool]) -> None:
 
 def moving(platform: EmulatedPlatform) -> bool:
     """Whether the motors have torque and were sent more than the goals they were armed with."""
-    return len(platform.servos.report()[MOTORS[0]]["goals"]) > 10
+    return bool(platform.servos.report()[MOTORS[0]]["told"] > 10)

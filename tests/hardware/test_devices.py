@@ -20,6 +20,7 @@ from apcc_torch.errors import ConfigError
 from apcc_torch.hardware.clock import MonotonicClock
 from apcc_torch.hardware.devices import HardwareSettings, devices
 from apcc_torch.hardware.dynamixel.actuator import DynamixelActuator
+from apcc_torch.hardware.feetech.actuator import FeetechActuator
 from apcc_torch.hardware.log_reader import read_log
 from apcc_torch.hardware.optitrack.sensor import OptiTrackSensor
 from apcc_torch.hardware.simulated.actuator import SimulatedActuator
@@ -46,6 +47,15 @@ def test_the_platform_is_the_papers() -> None:
     guards = settings.guards
     assert guards.limits.lower == tuple(motors.each("lower")) and guards.effort_cap == 100.0
     assert (guards.sensing.gate.max_speed, guards.sensing.gate.max_bend, guards.sensing.max_age) == (1.0, 3.0, 0.06)
+
+
+def test_servos_of_another_make_are_a_preset_with_the_same_sensor() -> None:
+    settings = composed_realtime("experiment=setpoint", "hardware=feetech_optitrack")
+    actuator, sensor, _ = RealtimeBuilder(settings).devices()
+    assert isinstance(actuator, FeetechActuator) and isinstance(sensor, OptiTrackSensor)
+    paper = composed_realtime(*REAL).hardware
+    assert actuator.settings.each("lower") == paper.actuator.each("lower")  # type: ignore[attr-defined]
+    assert sensor.settings == paper.sensor
 
 
 def test_the_defaults_are_what_the_command_line_builds() -> None:
@@ -94,17 +104,18 @@ def test_a_simulated_device_needs_a_simulated_arm() -> None:
 
 MISSING = """
 import sys
-sys.modules["dynamixel_sdk"] = sys.modules["natnet"] = None
+sys.modules["dynamixel_sdk"] = sys.modules["scservo_sdk"] = sys.modules["natnet"] = None
 sys.path.insert(0, {tests!r})
 from apcc_torch.composition.build_realtime import RealtimeBuilder
 from apcc_torch.errors import ConfigError
 from apcc_torch.part import part_of
 from composed import composed_realtime
-settings = composed_realtime("experiment=setpoint", "hardware=dynamixel_optitrack")
-try:
-    RealtimeBuilder(settings).devices()
-except ConfigError as error:
-    print(error)
+for platform in ("feetech_optitrack", "dynamixel_optitrack"):
+    settings = composed_realtime("experiment=setpoint", f"hardware={{platform}}")
+    try:
+        RealtimeBuilder(settings).devices()
+    except ConfigError as error:
+        print(error)
 try:
     part_of(settings.hardware.sensor)(settings.hardware.sensor)
 except ConfigError as error:
@@ -122,13 +133,14 @@ def run(program: str, folder: Path) -> str:
 def test_a_missing_library_is_named_with_what_installs_it(tmp_path: Path) -> None:
     """The settings can be read without it, as those in the log of an arm are on another computer."""
     assert run(MISSING.format(tests=str(Path(__file__).resolve().parents[1])), tmp_path).splitlines() == [
+        "FeetechActuator needs scservo_sdk: pip install 'apcc-torch[feetech]'",
         "DynamixelActuator needs dynamixel_sdk: pip install 'apcc-torch[hardware]'",
         "OptiTrackSensor needs natnet: pip install 'apcc-torch[hardware]'",
     ]
 
 
 def test_a_simulated_arm_loads_no_driver(tmp_path: Path) -> None:
-    libraries = "('dynamixel_sdk', 'natnet', 'serial')"
+    libraries = "('dynamixel_sdk', 'scservo_sdk', 'natnet', 'serial')"
     loaded = f"[m for m in sys.modules if m.partition('.')[0] in {libraries}]"
     assert run(f"import sys, apcc_torch.robot; print({loaded})", tmp_path).strip() == "[]"
 

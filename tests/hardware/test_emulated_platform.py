@@ -18,7 +18,8 @@ from apcc_torch.hardware.calibration_file import ArmCalibration
 from apcc_torch.hardware.log_reader import read_log
 from apcc_torch.hardware.stops import StopReason
 from composed import composed_realtime
-from hardware.emulators.rig import MOTORS, ZEROS, EmulatedPlatform
+from hardware.emulators.kinds import DYNAMIXEL, MOTORS
+from hardware.emulators.rig import EmulatedPlatform
 from hardware.platform_runs import DEADLINE, arguments, calibrated, program
 
 
@@ -36,7 +37,7 @@ def calibration(platform: EmulatedPlatform, tmp_path: Path) -> Path:
 
 def test_the_calibration_finds_the_emulated_arm(platform: EmulatedPlatform, calibration: Path) -> None:
     found = ArmCalibration.load(calibration)
-    assert found.actuator["zero_ticks"] == list(ZEROS)
+    assert found.actuator["zero_ticks"] == list(DYNAMIXEL.zeros)
     assert np.abs(found.rest.abscissae.numpy() - [0.105, 0.36, 0.60]).max() < 1e-4
     assert np.abs(np.array(found.base) - platform.arm.base).max() < 1e-4
 

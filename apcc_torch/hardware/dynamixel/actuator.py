@@ -1,280 +1,47 @@
-"""Tendons on Dynamixel motors: lengths in metres above, ticks on the bus below, and nothing sent outside the limits."""
+"""Tendons on Dynamixel motors of the X series."""
 
 from __future__ import annotations
 
-import time
 from collections.abc import Mapping
+from typing import Any
 
-import numpy as np
-
-from apcc_torch.errors import CommunicationError, DataError, DeviceFaultError, HardwareError, SafetyError
-from apcc_torch.hardware.dynamixel.bus import DynamixelBus, raise_all
+from apcc_torch.hardware.dynamixel.bus import DynamixelBus
 from apcc_torch.hardware.dynamixel.gripper import Gripper
 from apcc_torch.hardware.dynamixel.motors import Motors
-from apcc_torch.hardware.dynamixel.port import BusPort
-from apcc_torch.hardware.dynamixel.registers import TICKS_PER_TURN
 from apcc_torch.hardware.dynamixel.settings import DynamixelSettings
-from apcc_torch.hardware.dynamixel.spool import Spools, Ticks
-from apcc_torch.hardware.dynamixel.status import MotorStatus
-from apcc_torch.hardware.dynamixel.zero_mark import check_mark, leave_mark
-from apcc_torch.hardware.interfaces import Array, TendonActuator, TendonReading, check_library
-from apcc_torch.plain_text import plain_logger
-
-log = plain_logger(__name__)
-
-FASTEST = 110 / 60 * TICKS_PER_TURN  # ticks/s; the motor turns 95 rev/min at its highest voltage, without load
-JUMP = TICKS_PER_TURN / 8  # ticks beyond the fastest motion that are no motion
+from apcc_torch.hardware.interfaces import check_library
+from apcc_torch.hardware.servos.actuator import ServoActuator
+from apcc_torch.hardware.servos.port import BusPort
 
 
-class DynamixelActuator(TendonActuator):
-    """The tendons' motors, and a gripper if there is one. Not for use from two threads at once.
+class DynamixelActuator(ServoActuator):
+    """The tendons' motors, of one model or of several, and a gripper if there is one.
 
     After `arm` the motors' own watchdog runs: without a `read`, `send` or `hold` in `bus_watchdog` seconds they stop
     where they are, keep their torque, and refuse goals until they are let go and armed again.
+
+    In mode velocity the motors are told velocities, and the way to the goals is this driver's, see `VelocityLoop`: each
+    `send` needs a `read` before it, and a hold lives by the readings that follow it. Where one fails the motors stand.
 
     Args:
         settings: Port, motors, spools, limits.
     """
 
     settings_type = DynamixelSettings
-    lasting = ("ids", "spool_radii", "signs")
+    settings: DynamixelSettings
+    motors: Motors
 
     def __init__(self, settings: DynamixelSettings) -> None:
         check_library("dynamixel_sdk", type(self).__name__)
-        self.settings = settings
-        self.n_tendons = len(settings.ids)
         names = {motor: f"motor {k + 1}" for k, motor in enumerate(settings.ids)}
         if settings.gripper:
             names[settings.gripper.id] = "gripper"
-        self.bus = DynamixelBus(BusPort(settings.port, settings.baud, settings.reply_timeout), names)
-        self.motors = Motors(self.bus, settings)
+        bus = DynamixelBus(BusPort(settings.port, settings.baud, settings.reply_timeout), names)
+        super().__init__(settings, Motors(bus, settings))
         self.gripper = Gripper(self.motors, settings.gripper) if settings.gripper else None
-        self.spools: Spools | None = None
-        self._lost: set[int] = set()  # ids whose zero holds no more
-        self._last: tuple[float, Ticks] | None = None
 
-    def connect(self) -> None:
-        """Opens the port, checks every motor and sets it up; torque stays off, and lengths have no zero yet.
-
-        Raises:
-            CommunicationError: The port cannot be opened, or a motor does not answer well.
-            DeviceFaultError: A motor reports a hardware error, or refuses a setting.
-            HardwareError: A wrong model or firmware, a motor that holds torque already, or connected already.
-        """
-        if self.bus.is_open:
-            raise HardwareError(f"{self.settings.port} is connected already: disconnect first")
-        self.bus.open()
-        self._forget_zero()
-        try:
-            self.motors.check()
-            self.motors.configure()
-            self.motors.check_status(self.motors.status())
-        except BaseException:
-            self.bus.close()
-            raise
-
-    def _require(self, armed: bool, doing: str) -> None:
-        if not self.bus.is_open:
-            raise HardwareError(f"connect before {doing}")
-        if armed != self.motors.armed:
-            raise HardwareError(f"{doing} needs the motors {'armed' if armed else 'without torque'}")
-
-    def _zeroed(self) -> Spools:
-        if self.spools is None:
-            raise HardwareError("tendon lengths have no zero: calibrate, or restore a calibration")
-        if self._lost:
-            names = ", ".join(self.bus.name(motor) for motor in sorted(self._lost))
-            raise HardwareError(f"{names} lost its zero: calibrate again")
-        return self.spools
-
-    def _forget_zero(self) -> None:
-        self.spools = None
-        self._lost.clear()
-        self._last = None
-
-    def _spools(self, zero: Ticks) -> Spools:
-        s = self.settings
-        return Spools(
-            radii=np.array(s.each("spool_radii"), dtype=np.float64),
-            signs=np.array(s.each("signs"), dtype=np.int64),
-            lower=np.array(s.each("lower"), dtype=np.float64),
-            upper=np.array(s.each("upper"), dtype=np.float64),
-            zero=zero,
-        )
-
-    def calibrate(self) -> dict[str, object]:
-        """Takes the present lengths as zero, the arm hanging at rest, and marks the motors with this calibration.
-
-        Returns:
-            ids, zero_ticks, spool_radii (m), signs, and the mark; what `restore` takes.
-
-        Raises:
-            HardwareError: Torque is on, or a motor does not answer or has a fault.
-        """
-        self._require(armed=False, doing="calibrating")
-        self._forget_zero()
-        status = self._status()
-        zero = self._positions(status)
-        spools = self._spools(zero)
-        mark = leave_mark(self.bus, self.motors.ids)
-        self.spools = spools
-        return {key: self.settings.each(key) for key in self.lasting} | {"zero_ticks": zero.tolist(), "mark": mark}
-
-    def restore(self, zero: Mapping[str, object]) -> None:
-        """Takes up what `calibrate` returned, also in an earlier process, if the motors had power ever since.
-
-        Raises:
-            DataError: It is of other motors or spools.
-            HardwareError: A motor has restarted since; or torque is on.
-        """
-        self._require(armed=False, doing="restoring a calibration")
-        for key in self.lasting:
-            if zero.get(key) != (mine := self.settings.each(key)):
-                raise DataError(f"the calibration has {key} {zero.get(key)}, the settings {mine}: calibrate again")
-        ticks, mark = zero.get("zero_ticks"), zero.get("mark")
-        if not isinstance(ticks, list) or len(ticks) != self.n_tendons or not isinstance(mark, int):
-            raise DataError("the calibration has no zero_ticks or no mark")
-        self._forget_zero()
-        check_mark(self.bus, self.motors.ids, mark)
-        self._status()
-        self.spools = self._spools(np.array(ticks, dtype=np.int64))
-
-    def _positions(self, status: Mapping[int, MotorStatus]) -> Ticks:
-        return np.array([status[motor].position for motor in self.settings.ids], dtype=np.int64)
-
-    def _status(self) -> dict[int, MotorStatus]:
-        """All motors, checked for faults and for jumps; after a restart or a jump lengths have no zero any more."""
-        status = self.motors.status()
-        now, positions = time.monotonic(), self._positions(status)
-        self._lost.update(motor for motor, state in status.items() if state.restarted)
-        self.motors.check_status(status)
-        if self._last is not None:
-            jump = np.abs(positions - self._last[1])
-            if (jump > JUMP + FASTEST * (now - self._last[0])).any():
-                self._last = None
-                k = int(jump.argmax())
-                self._lost.add(motor := self.settings.ids[k])
-                name = self.bus.name(motor)
-                raise DeviceFaultError(f"{name} jumped by {jump[k]} ticks and lost its zero: calibrate again")
-        self._last = (now, positions)
-        return status
-
-    def arm(self) -> None:
-        """Torque on with every goal at the present length, read back.
-
-        A tendon that is out of its range by less than `zero_tolerance` goes to the range's end.
-
-        Raises:
-            CommunicationError: A motor does not answer; all are without torque.
-            DeviceFaultError: A motor refuses or has a fault; all are without torque.
-            HardwareError: Not connected, not calibrated, or armed already.
-            SafetyError: A tendon is out of its range by more than `zero_tolerance`.
-        """
-        self._require(armed=False, doing="arming")
-        spools = self._zeroed()
-        status = self._status()
-        present = self._positions(status)
-        y, goals = spools.length(present), spools.clip(present)
-        out = np.abs(y - spools.length(goals)) > self.settings.zero_tolerance
-        if out.any():
-            k = int(out.argmax())
-            limits = f"{1e3 * spools.lower[k]:g} to {1e3 * spools.upper[k]:g} mm"
-            name = self.bus.name(self.settings.ids[k])
-            raise SafetyError(f"the tendon of {name} is at {1e3 * y[k]:.1f} mm, outside {limits}: calibrate again")
-        targets = dict(zip(self.settings.ids, goals.tolist(), strict=True))
-        if self.gripper:
-            motor = self.gripper.settings.id
-            targets[motor] = self.gripper.arming_goal(status[motor].position)
-        self.motors.arm(targets)
-
-    def read(self) -> TendonReading:
-        """The tendons as they are now, from one sync read.
-
-        Tensions are torque_constant x current / radius: estimates, since friction in the gears is in them.
-
-        Raises:
-            CommunicationError: A motor did not answer well.
-            DeviceFaultError: A motor reports an error, lost its torque, restarted, or its watchdog tripped.
-            HardwareError: Not connected, or no zero.
-        """
-        spools = self._zeroed()
-        before = time.monotonic()
-        status = self._status()
-        stamp = 0.5 * (before + time.monotonic())
-        tendons = [status[motor] for motor in self.settings.ids]
-        raw = {name: list(values) for name, values in zip(MotorStatus._fields, zip(*tendons, strict=True), strict=True)}
-        return TendonReading(
-            stamp=stamp,
-            y=spools.length(np.array(raw["position"], dtype=np.int64)),
-            ydot=spools.rate(np.array(raw["velocity"], dtype=np.int64)),
-            effort=spools.tension(np.array(raw["current"], dtype=np.int64), self.settings.torque_constant),
-            raw=raw,
-        )
-
-    def rounded(self, y: Array, low: Array, high: Array) -> Array:
-        """The lengths (n_a,) of the ticks nearest to y, from low to high and within the limits, m."""
-        spools = self._zeroed()
-        return spools.length(spools.clip(np.clip(spools.ticks(y), *spools.between(low, high))))
-
-    def send(self, y: Array) -> Array:
-        """Goals for all tendons in one packet, within the limits and in whole ticks; returns what was sent, m.
-
-        Motors do not answer it: one that refuses shows in the next `read`.
-
-        Raises:
-            ShapeError, ValueRangeError: y is not n_tendons finite numbers; nothing is sent.
-            CommunicationError: The packet could not be sent.
-            HardwareError: Not armed.
-        """
-        self._require(armed=True, doing="sending")
-        spools = self._zeroed()
-        ticks = spools.ticks(y)
-        self.motors.write_goals(dict(zip(self.settings.ids, ticks.tolist(), strict=True)))
-        return spools.length(ticks)
-
-    def hold(self) -> None:
-        """Goals at the present lengths, within the limits; torque stays.
-
-        Motors that do not answer or lost their zero keep their last goal. The others are held before the error is
-        raised.
-
-        Raises:
-            CommunicationError: A motor did not answer.
-            DeviceFaultError: A motor has a fault, as in `read`.
-            HardwareError: Not armed.
-        """
-        self._require(armed=True, doing="holding")
-        status, missing = self.motors.reachable()
-        self._lost.update(motor for motor, state in status.items() if state.restarted)
-        if self.spools is not None:
-            sound = [motor in status and motor not in self._lost for motor in self.settings.ids]
-            ticks = self.spools.zero.copy()
-            ticks[sound] = [status[motor].position for motor, fit in zip(self.settings.ids, sound, strict=True) if fit]
-            goals = zip(self.settings.ids, self.spools.clip(ticks).tolist(), sound, strict=True)
-            self.motors.write_goals({motor: goal for motor, goal, fit in goals if fit})
-        raise_all(missing.values())
-        self.motors.check_status(status)
-        self._zeroed()
-
-    def torque_off(self) -> None:
-        """Lets go of every motor; none is left out because another fails. Does nothing while not connected.
-
-        A motor that cannot be reached stops by its own watchdog, with its torque on.
-
-        Raises:
-            CommunicationError: Every motor was tried, and these did not confirm it.
-        """
-        if not self.bus.is_open:
-            return
-        if left := self.motors.torque_off():
-            names = ", ".join(self.bus.name(motor) for motor in left)
-            raise CommunicationError(f"torque off is not confirmed by {names}: cut the power")
-
-    def disconnect(self) -> None:
-        """Torque off, then closes the port. Never raises: what failed is in the log."""
-        try:
-            self.torque_off()
-        except HardwareError as error:
-            log.error("%s", error)
-        self.bus.close()
-        self._forget_zero()
+    def _other_goals(self, status: Mapping[int, Any]) -> dict[int, int]:
+        if self.gripper is None:
+            return {}
+        motor = self.gripper.settings.id
+        return {motor: self.gripper.arming_goal(status[motor].position)}

@@ -6,8 +6,8 @@ from math import isfinite
 
 from apcc_torch.errors import HardwareError, SafetyError, ValueRangeError
 from apcc_torch.hardware.dynamixel.motors import Motors
-from apcc_torch.hardware.dynamixel.registers import TICK
 from apcc_torch.hardware.dynamixel.settings import GripperSettings
+from apcc_torch.hardware.servos.spool import TICK
 
 
 class Gripper:

@@ -1,74 +1,61 @@
-"""All motors of the bus as one: checked, set up, torqued, read and let go together, in the registers' units."""
+"""All Dynamixel motors of a bus as one, of whatever models: in the registers' units."""
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
 
 from apcc_torch.errors import CommunicationError, DeviceFaultError, HardwareError
 from apcc_torch.hardware.dynamixel.bus import DynamixelBus
+from apcc_torch.hardware.dynamixel.models import Model
 from apcc_torch.hardware.dynamixel.registers import (
-    ACCELERATION_UNIT,
     BUS_WATCHDOG,
-    CURRENT_LIMIT,
-    CURRENT_UNIT,
     DRIVE_MODE,
-    FEEDFORWARD_1ST_GAIN,
-    FEEDFORWARD_2ND_GAIN,
     FIRMWARE_VERSION,
-    GOAL_CURRENT,
     GOAL_POSITION,
     GOAL_PWM,
+    GOAL_VELOCITY,
     HARDWARE_ERROR,
     HOMING_OFFSET,
     INDIRECT_ADDRESS,
-    INDIRECT_DATA,
-    MAX_POSITION_LIMIT,
+    MAX_POSITION,
     MAX_PWM,
-    MAX_VELOCITY_LIMIT,
-    MIN_POSITION_LIMIT,
     MODEL_NUMBER,
-    NO_SECONDARY_ID,
     OPERATING_MODE,
-    OPERATING_MODES,
-    POSITION_D_GAIN,
-    POSITION_I_GAIN,
-    POSITION_P_GAIN,
+    PRESENT_INPUT_VOLTAGE,
     PRESENT_POSITION,
-    PROFILE_ACCELERATION,
-    PROFILE_VELOCITY,
-    PWM_LIMIT,
-    RETURN_DELAY,
     SECONDARY_ID,
-    SHUTDOWN,
-    STARTUP_CONFIGURATION,
-    STATUS_RETURN_LEVEL,
-    TICKS_PER_TURN,
     TORQUE_ENABLE,
-    VELOCITY_LIMIT,
     VELOCITY_UNIT,
-    Register,
+    VOLTAGE_UNIT,
     hardware_errors,
 )
-from apcc_torch.hardware.dynamixel.settings import MAX_ID, DynamixelSettings
+from apcc_torch.hardware.dynamixel.settings import VELOCITY, DynamixelSettings
 from apcc_torch.hardware.dynamixel.status import (
-    ANSWERS_EVERYTHING,
     STATUS_LENGTH,
     MotorStatus,
     indirect_addresses,
 )
-from apcc_torch.hardware.dynamixel.zero_mark import erase_mark
+from apcc_torch.hardware.dynamixel.velocity_loop import VelocityLoop
+from apcc_torch.hardware.dynamixel.wanted import Wanted, of_armed, of_connected
+from apcc_torch.hardware.dynamixel.zero_mark import check_mark, erase_mark, leave_mark
+from apcc_torch.hardware.interfaces import Array
+from apcc_torch.hardware.servos.bus import raise_all
+from apcc_torch.hardware.servos.motors import ServoMotors, each
+from apcc_torch.hardware.servos.register import Register
+from apcc_torch.hardware.servos.settings import MAX_ID
+from apcc_torch.hardware.servos.spool import TICKS_PER_TURN
 from apcc_torch.plain_text import plain_logger
 
 log = plain_logger(__name__)
 
-# Let go on overload (bit 5), electrical shock (4) and overheating (2): the motor's own default.
-SHUTDOWN_BITS = 0b11_0100
-TORQUE_OFF_TRIES = 3
-GOAL_SLACK = 8  # ticks that a hanging arm may move between two exchanges
 LOST_TURN = TICKS_PER_TURN // 4
 
 
-class Motors:
+class Motors(ServoMotors):
     """The motors of the settings, the gripper's last.
 
     Args:
@@ -76,19 +63,27 @@ class Motors:
         settings: What they must be and are set to.
     """
 
+    torque = TORQUE_ENABLE
+    farthest = MAX_POSITION
+
     def __init__(self, bus: DynamixelBus, settings: DynamixelSettings) -> None:
-        self.bus = bus
+        super().__init__(bus, settings.every_id, settings.release_torqued)
+        self.bus: DynamixelBus = bus
         self.settings = settings
-        gripper = settings.gripper
-        self.ids = (*settings.ids, *((gripper.id,) if gripper else ()))
-        amperes = [settings.current_limit] * len(settings.ids) + ([gripper.current_limit] if gripper else [])
-        self.current_ticks = {motor: int(limit / CURRENT_UNIT) for motor, limit in zip(self.ids, amperes, strict=True)}
-        self.armed = False
+        self.models = settings.models
+        self.currents = settings.currents
+        self.modes = {motor: settings.mode_of(motor) for motor in self.ids}
+        self.fastest = np.array([model.fastest for model in settings.tendon_models])
+        given = settings.torque_constant
+        constants = [model.torque_constant for model in settings.tendon_models]
+        self.torque_constants = dict(
+            zip(settings.ids, constants if given is None else settings.each("torque_constant"), strict=True)
+        )
+        moved = [motor for motor in self.ids if self.modes[motor] == VELOCITY]
+        self.loop = VelocityLoop(moved, settings.velocity_gain, settings.profile_velocity)
 
     def check(self) -> None:
-        """Refuses motors that are not those of the settings, or not fit to run.
-
-        It writes nothing but a release, and takes the mark of its calibration off a motor that shifts its positions.
+        """See `ServoMotors.check`. It also takes the mark of its calibration off a motor that shifts its positions.
 
         Raises:
             CommunicationError: A motor does not answer.
@@ -98,122 +93,130 @@ class Motors:
         """
         for motor in self.ids:
             self.bus.ping(motor)
-            self._check_one(motor)
-        torqued = [motor for motor in self.ids if self.bus.read(motor, TORQUE_ENABLE)]
-        if torqued and not self.settings.release_torqued:
-            names = ", ".join(self.bus.name(motor) for motor in torqued)
-            raise HardwareError(f"{names} holds torque already; release_torqued=true lets go, and the arm drops")
-        for motor in torqued:
-            log.warning("%s held torque and is let go", self.bus.name(motor))
-            self.bus.write(motor, TORQUE_ENABLE, 0)
-        for motor in self.ids:
-            if offset := self.bus.read(motor, HOMING_OFFSET):
-                # Not written here: whoever set it has to know that lengths from before mean something else.
-                erase_mark(self.bus, motor)
-                wrong = self._wrong(motor, HOMING_OFFSET, offset, 0)
-                raise HardwareError(f"{wrong}: set it with DYNAMIXEL Wizard and calibrate again")
+            self._check_one(motor, self.models[motor])
+        self.refuse_torqued()
+        self.refuse_offset(HOMING_OFFSET, "DYNAMIXEL Wizard")
+        blind = [self.bus.name(motor) for motor in self.settings.ids if self.models[motor].current_unit is None]
+        if blind:
+            log.warning("%s tells no current: the guards of tensions do not see its tendon", ", ".join(blind))
 
-    def _check_one(self, motor: int) -> None:
+    def _check_one(self, motor: int, model: Model) -> None:
         name = self.bus.name(motor)
-        if (model := self.bus.read(motor, MODEL_NUMBER)) != self.settings.model_number:
-            raise HardwareError(f"{name} is model {model}, not {self.settings.model_number}")
-        if (firmware := self.bus.read(motor, FIRMWARE_VERSION)) < self.settings.minimum_firmware:
-            raise HardwareError(f"{name} has firmware {firmware}, older than {self.settings.minimum_firmware}")
+        if (found := self.bus.read(motor, MODEL_NUMBER)) != model.number:
+            raise HardwareError(f"{name} is model {found}, not {model.number}")
+        given = self.settings.minimum_firmware
+        least = model.firmware if given is None else given
+        if (firmware := self.bus.read(motor, FIRMWARE_VERSION)) < least:
+            raise HardwareError(f"{name} has firmware {firmware}, older than {least}")
         if errors := self.bus.read(motor, HARDWARE_ERROR):
             raise DeviceFaultError(f"{name} reports {hardware_errors(errors)}: turn its power off and on")
 
-    def _connected(self, motor: int) -> list[tuple[Register, int]]:
-        """What scales, shifts or limits a motor's motion, and what the driver lives by, in the order of writing."""
-        P, I, D = self.settings.position_gains  # noqa: E741 - as they are called
-        return [
-            (RETURN_DELAY, 0),
-            (DRIVE_MODE, 0),
-            (OPERATING_MODE, OPERATING_MODES[self.settings.mode]),
-            (SECONDARY_ID, NO_SECONDARY_ID),
-            (PWM_LIMIT, MAX_PWM),
-            (CURRENT_LIMIT, self.current_ticks[motor]),
-            (VELOCITY_LIMIT, MAX_VELOCITY_LIMIT),
-            (MAX_POSITION_LIMIT, TICKS_PER_TURN - 1),
-            (MIN_POSITION_LIMIT, 0),
-            (STARTUP_CONFIGURATION, 0),
-            (SHUTDOWN, SHUTDOWN_BITS),
-            (STATUS_RETURN_LEVEL, ANSWERS_EVERYTHING),
-            (POSITION_P_GAIN, P),
-            (POSITION_I_GAIN, I),
-            (POSITION_D_GAIN, D),
-            (FEEDFORWARD_1ST_GAIN, 0),
-            (FEEDFORWARD_2ND_GAIN, 0),
-        ]
+    def _armed(self, motor: int) -> Wanted:
+        return of_armed(self.settings, motor, self._pwm(motor))
 
-    def _armed(self, motor: int) -> list[tuple[Register, int]]:
-        """What a tripped watchdog has dropped, and what else limits the motion and does not outlive a restart."""
-        return [
-            (PROFILE_ACCELERATION, round(self.settings.profile_acceleration / ACCELERATION_UNIT)),
-            (PROFILE_VELOCITY, round(self.settings.profile_velocity / VELOCITY_UNIT)),
-            (GOAL_PWM, MAX_PWM),
-            (GOAL_CURRENT, self.current_ticks[motor]),
-        ]
+    def _pwm(self, motor: int) -> int:
+        """What a motor may take of the supply's voltage, as it is now."""
+        if not self.settings.limited_by_voltage(motor):
+            return MAX_PWM
+        voltage = VOLTAGE_UNIT * self.bus.read(motor, PRESENT_INPUT_VOLTAGE)
+        if not voltage > 0:
+            raise DeviceFaultError(f"{self.bus.name(motor)} tells no supply voltage, which its current limit needs")
+        return self.models[motor].stalled_pwm(self.currents[motor], voltage)
 
     def configure(self) -> None:
-        """Sets what every connection needs, torque being off: read of all, and written where it differs.
+        """See `ServoMotors.configure`.
 
         Raises:
             CommunicationError: A motor does not answer.
             DeviceFaultError: A motor does not take a setting; the sentence says what it has and what is needed.
         """
-        needed = {motor: self._connected(motor) for motor in self.ids}
-        for k, (register, _) in enumerate(needed[self.ids[0]]):
-            found = self.bus.sync_read(self.ids, register.address, register.length)
-            for motor in self.ids:
-                self._set(motor, register, register.decode(found[motor]), needed[motor][k][1])
+        needed = {motor: dict(of_connected(self.settings, motor)) for motor in self.ids}
+        for register in dict.fromkeys(register for wanted in needed.values() for register in wanted):
+            ids = [motor for motor in self.ids if register in needed[motor]]
+            found = self.bus.sync_read(ids, register.address, register.length)
+            for motor in ids:
+                value = register.decode(found[motor])
+                if register is SECONDARY_ID and value > MAX_ID:  # all of those are none
+                    continue
+                # A motor forgets its turns with another mode, or counted them the other way.
+                if self.set(motor, register, value, needed[motor][register]) and register in (
+                    OPERATING_MODE,
+                    DRIVE_MODE,
+                ):
+                    self.erase_mark(motor)
         for motor in self.ids:
             self.bus.write(motor, BUS_WATCHDOG, 0)
             self.bus.write_bytes(motor, INDIRECT_ADDRESS, indirect_addresses())
 
-    def _set(self, motor: int, register: Register, found: int, needed: int) -> None:
-        """Writes a register that differs, and reads it back."""
-        if found == needed or (register is SECONDARY_ID and found > MAX_ID):  # all of those are none
-            return
-        try:
-            self.bus.write(motor, register, needed)
-        except DeviceFaultError as error:
-            raise DeviceFaultError(f"{self._wrong(motor, register, found, needed)}, and refuses it: {error}") from error
-        if (kept := self.bus.read(motor, register)) != needed:
-            raise DeviceFaultError(f"{self._wrong(motor, register, kept, needed)}, and does not take it")
-        if register in (OPERATING_MODE, DRIVE_MODE):  # a motor forgets its turns on that, or counted them the other way
-            erase_mark(self.bus, motor)
+    def leave_mark(self) -> int:
+        """See `ServoMotors.leave_mark`."""
+        return leave_mark(self.bus, self.models)
 
-    def _wrong(self, motor: int, register: Register, found: int, needed: int) -> str:
-        return f"{self.bus.name(motor)} has {register.name} {found}, needs {needed}"
+    def check_mark(self, mark: int) -> None:
+        """See `ServoMotors.check_mark`."""
+        check_mark(self.bus, self.models, mark)
+
+    def erase_mark(self, motor: int) -> None:
+        """See `ServoMotors.erase_mark`."""
+        erase_mark(self.bus, motor, self.models[motor])
+
+    def reachable(self) -> tuple[dict[int, MotorStatus], dict[int, HardwareError]]:
+        """See `ServoMotors.reachable`: one sync read of those whose tables are alike."""
+        blocks: dict[int, bytes] = {}
+        wrong: dict[int, HardwareError] = {}
+        for address in dict.fromkeys(model.indirect_data for model in self.models.values()):
+            ids = [motor for motor in self.ids if self.models[motor].indirect_data == address]
+            answers, missing = self.bus.sync_gather(ids, address, STATUS_LENGTH)
+            blocks |= answers
+            wrong |= missing
+        status = {motor: MotorStatus.decode(blocks[motor]) for motor in self.ids if motor in blocks}
+        self.loop.see({motor: state.position for motor, state in status.items()})
+        return status, wrong
 
     def status(self) -> dict[int, MotorStatus]:
-        """Every motor's status block, whatever it says. Raises CommunicationError if one does not answer."""
-        blocks = self.bus.sync_read(self.ids, INDIRECT_DATA, STATUS_LENGTH)
-        return {motor: MotorStatus.decode(blocks[motor]) for motor in self.ids}
+        """See `ServoMotors.status`. Motors that are told velocities stand still after a reading that failed."""
+        try:
+            status, wrong = self.reachable()
+            raise_all(wrong.values())
+        except HardwareError:
+            if self.armed and self.loop.motors:
+                self.loop.see({})
+                with contextlib.suppress(CommunicationError):  # the one that is under way says why
+                    self._write_velocities()
+            raise
+        if self.armed and self.loop.holding:
+            self._write_velocities()
+        return status
 
-    def check_status(self, status: Mapping[int, MotorStatus]) -> None:
-        """Raises DeviceFaultError, which names each motor with a fault and the fault."""
-        faults: dict[str, list[str]] = {}
-        for motor, state in status.items():
-            if said := state.fault(self.armed, self.settings.watchdog_ticks):
-                faults.setdefault(said, []).append(self.bus.name(motor))
-        if faults:
-            raise DeviceFaultError("; ".join(f"{', '.join(names)} {said}" for said, names in faults.items()))
+    def _fault(self, motor: int, state: MotorStatus) -> str:
+        return state.fault(self.armed, self.settings.watchdog_ticks)
+
+    def speeds(self, status: Mapping[int, Any], ids: tuple[int, ...]) -> Array:
+        """See `ServoMotors.speeds`."""
+        return VELOCITY_UNIT * each(status, ids, lambda state: state.velocity)
+
+    def torques(self, status: Mapping[int, Any], ids: tuple[int, ...]) -> Array:
+        """See `ServoMotors.torques`: the current times the torque constant."""
+        units = [self.torque_constants[motor] * (self.models[motor].current_unit or 0.0) for motor in ids]
+        return np.array(units) * each(status, ids, lambda state: state.current)
 
     def arm(self, goals: Mapping[int, int]) -> None:
-        """Torque on, with goals in ticks already set and read back, and the bus watchdog running.
+        """See `ServoMotors.arm`; the bus watchdog runs from then on.
 
         Raises:
             CommunicationError: A motor did not answer; all are let go.
             DeviceFaultError: A motor refuses, or does not hold what was written; all are let go.
         """
         try:
+            wanted = {}
             for motor in self.ids:
                 # A tripped watchdog refuses goals until it is cleared.
                 self.bus.write(motor, BUS_WATCHDOG, 0)
-                for register, value in (*self._armed(motor), (GOAL_POSITION, goals[motor])):
+                wanted[motor] = self._armed(motor)
+                goal = [] if motor in self.loop.motors else [(GOAL_POSITION, goals[motor])]
+                for register, value in (*wanted[motor], *goal):
                     self.bus.write(motor, register, value)
-            before = self._check_goals(goals)
+            before = self._check_goals(goals, wanted)
             for motor in self.ids:
                 self.bus.write(motor, BUS_WATCHDOG, self.settings.watchdog_ticks)
             for motor in self.ids:
@@ -222,18 +225,13 @@ class Motors:
             self.write_goals(goals)
             status = self.status()
             self.check_status(status)
-            for motor, state in status.items():
-                if abs(state.position - before[motor]) > LOST_TURN:
-                    raise DeviceFaultError(f"{self.bus.name(motor)} moved when it was armed: calibrate again")
+            self.check_still(before, status, LOST_TURN)
         except BaseException:
             self.torque_off()
             raise
 
-    def _check_goals(self, goals: Mapping[int, int]) -> dict[int, int]:
-        """The positions, if every limit is as written and no motor would turn further than to its goal.
-
-        Some let their goal follow them without torque.
-        """
+    def _check_goals(self, goals: Mapping[int, int], wanted: Mapping[int, Wanted]) -> dict[int, int]:
+        """The positions, if every limit is as written and no motor would turn further than to its goal."""
         first = GOAL_PWM.address
         length = PRESENT_POSITION.address + PRESENT_POSITION.length - first
         positions = {}
@@ -242,46 +240,30 @@ class Motors:
             def held(register: Register, data: bytes = data) -> int:
                 return register.decode(data[register.address - first :][: register.length])
 
-            for register, needed in self._armed(motor):
+            for register, needed in wanted[motor]:
                 if (found := held(register)) != needed:
                     raise DeviceFaultError(self._wrong(motor, register, found, needed))
-            goal, position = held(GOAL_POSITION), held(PRESENT_POSITION)
-            if abs(goal - position) > abs(goals[motor] - position) + GOAL_SLACK:
-                raise DeviceFaultError(f"{self.bus.name(motor)} has goal {goal} instead of {goals[motor]}")
-            positions[motor] = position
+            positions[motor] = held(PRESENT_POSITION)
+            if motor not in self.loop.motors:
+                self.check_goal(motor, held(GOAL_POSITION), positions[motor], goals[motor])
         return positions
 
-    def write_goals(self, goals: Mapping[int, int]) -> None:
-        """Goals in ticks, in one packet that no motor answers: a refusal shows in the next status."""
-        if not goals:
-            return
-        self.bus.sync_write(GOAL_POSITION, goals)
+    def write_goals(self, goals: Mapping[int, int], hold: bool = False) -> None:
+        """See `ServoMotors.write_goals`. Motors that are told velocities get those that lead to their goals."""
+        self.loop.holding = hold
+        direct = {motor: goal for motor, goal in goals.items() if motor not in self.loop.motors}
+        if direct:
+            self.bus.sync_write(GOAL_POSITION, direct)
+        if self.loop.motors:
+            if hold:  # motors that are left out stand where they are
+                self.loop.goals.clear()
+            self.loop.goals.update({motor: goal for motor, goal in goals.items() if motor in self.loop.motors})
+            self._write_velocities()
 
-    def reachable(self) -> tuple[dict[int, MotorStatus], dict[int, HardwareError]]:
-        """The status blocks that can be had, and why the others cannot."""
-        blocks, wrong = self.bus.sync_gather(self.ids, INDIRECT_DATA, STATUS_LENGTH)
-        return {motor: MotorStatus.decode(data) for motor, data in blocks.items()}, wrong
+    def _write_velocities(self) -> None:
+        self.bus.sync_write(GOAL_VELOCITY, self.loop.take())
 
     def torque_off(self) -> tuple[int, ...]:
-        """Lets go of every motor, whatever fails on the way; returns those that did not confirm it."""
-        self.armed = False
-        left = list(self.ids)
-        for attempt in range(TORQUE_OFF_TRIES):
-            failed: dict[int, HardwareError] = {}
-            try:
-                self.bus.sync_write(TORQUE_ENABLE, dict.fromkeys(left, 0))
-            except CommunicationError as error:
-                failed = dict.fromkeys(left, error)
-            for motor in left:
-                try:
-                    self.bus.write(motor, TORQUE_ENABLE, 0)
-                except HardwareError as error:
-                    failed[motor] = error
-                else:
-                    failed.pop(motor, None)
-            left = list(failed)
-            if not left:
-                break
-            said = "; ".join(dict.fromkeys(str(error) for error in failed.values()))
-            log.error("torque off, attempt %d of %d: %s", attempt + 1, TORQUE_OFF_TRIES, said)
-        return tuple(left)
+        """See `ServoMotors.torque_off`."""
+        self.loop.reset()
+        return super().torque_off()

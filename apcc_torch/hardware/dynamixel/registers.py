@@ -1,45 +1,13 @@
-"""The part of the XM430-W210's control table that the driver uses: addresses, widths, signs, units.
+"""The part of the X series' control table that the driver uses: addresses, widths, signs, and the units all share.
 
-Values are little-endian. Units and ranges are those of the maker's e-manual for the XM430-W210, protocol 2.0.
+Values are little-endian, protocol 2.0. What differs from model to model is in models.yaml.
 """
 
 from __future__ import annotations
 
 from math import pi
-from typing import NamedTuple
 
-from apcc_torch.errors import CommunicationError, ValueRangeError
-
-
-class Register(NamedTuple):
-    """One entry of the control table: its address and width in bytes, and whether it is two's complement."""
-
-    name: str
-    address: int
-    length: int
-    signed: bool = False
-
-    def encode(self, value: int) -> bytes:
-        """The bytes of `value`.
-
-        Raises:
-            ValueRangeError: It does not fit.
-        """
-        try:
-            return int(value).to_bytes(self.length, "little", signed=self.signed)
-        except OverflowError as error:
-            raise ValueRangeError(f"{self.name} does not fit {self.length} bytes, got {value}") from error
-
-    def decode(self, data: bytes) -> int:
-        """The value of bytes that a motor sent.
-
-        Raises:
-            CommunicationError: There are more or fewer bytes than the register has.
-        """
-        if len(data) != self.length:
-            raise CommunicationError(f"{self.name} has {self.length} bytes, got {len(data)}")
-        return int.from_bytes(data, "little", signed=self.signed)
-
+from apcc_torch.hardware.servos.register import Register
 
 # Kept without power; written only while torque is off.
 MODEL_NUMBER = Register("model number", 0, 2)
@@ -69,32 +37,30 @@ FEEDFORWARD_1ST_GAIN = Register("feedforward 1st gain", 90, 2)
 BUS_WATCHDOG = Register("bus watchdog", 98, 1, signed=True)
 GOAL_PWM = Register("goal PWM", 100, 2, signed=True)
 GOAL_CURRENT = Register("goal current", 102, 2, signed=True)
+GOAL_VELOCITY = Register("goal velocity", 104, 4, signed=True)
 PROFILE_ACCELERATION = Register("profile acceleration", 108, 4)
 PROFILE_VELOCITY = Register("profile velocity", 112, 4)
 GOAL_POSITION = Register("goal position", 116, 4, signed=True)
 PRESENT_CURRENT = Register("present current", 126, 2, signed=True)
 PRESENT_VELOCITY = Register("present velocity", 128, 4, signed=True)
 PRESENT_POSITION = Register("present position", 132, 4, signed=True)
+PRESENT_INPUT_VOLTAGE = Register("present input voltage", 144, 2)
 
-# Slot k (from 0) shows the byte at the address in 168 + 2k as the byte 224 + k.
+# Slot k (from 0) shows the byte at the address in 168 + 2k as the byte k of the indirect data, which begin where the
+# slots of the model end.
 INDIRECT_ADDRESS = 168
-INDIRECT_DATA = 224
 
-OPERATING_MODES = {"extended_position": 4, "current_based_position": 5}
-TICKS_PER_TURN = 4096
-MAX_POSITION = 1_048_575  # ticks either way in both operating modes
+OPERATING_MODES = {"velocity": 1, "extended_position": 4, "current_based_position": 5}
+MAX_POSITION = 1_048_575  # ticks either way in both position modes
 WATCHDOG_UNIT = 0.02  # s
 WATCHDOG_TRIPPED = -1
-CURRENT_UNIT = 2.69e-3  # A
-MAX_CURRENT_TICKS = 1193
 MAX_PWM = 885  # all of the supply's voltage
-MAX_VELOCITY_LIMIT = 1023  # in VELOCITY_UNIT; no profile may be faster than the limit
 NO_SECONDARY_ID = 255
 MAX_GAIN = 16_383
 VELOCITY_UNIT = 0.229 * 2 * pi / 60  # rad/s
 ACCELERATION_UNIT = 214.577 * 2 * pi / 3600  # rad/s^2
 MAX_PROFILE_TICKS = 32_767
-TICK = 2 * pi / TICKS_PER_TURN  # rad
+VOLTAGE_UNIT = 0.1  # V
 
 HARDWARE_ERROR_BITS = {0: "input voltage", 2: "overheating", 3: "motor encoder", 4: "electrical shock", 5: "overload"}
 

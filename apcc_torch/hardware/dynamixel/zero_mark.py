@@ -8,17 +8,20 @@ restart resets. Each of its digits is a legal address.
 from __future__ import annotations
 
 import secrets
-from collections.abc import Sequence
+from collections.abc import Mapping
 
 from apcc_torch.errors import HardwareError
 from apcc_torch.hardware.dynamixel.bus import DynamixelBus
-from apcc_torch.hardware.dynamixel.registers import INDIRECT_ADDRESS, INDIRECT_DATA
+from apcc_torch.hardware.dynamixel.models import Model
+from apcc_torch.hardware.dynamixel.registers import INDIRECT_ADDRESS
 
-FIRST_SLOT = 24
-DIGITS = 4
+DIGITS = 4  # each in a slot of its own, the last that the model has
 BASE = 64
 LOWEST_ADDRESS = 64  # the lowest that an indirect address may hold
-ADDRESS = INDIRECT_ADDRESS + 2 * FIRST_SLOT
+
+
+def _address(model: Model) -> int:
+    return INDIRECT_ADDRESS + 2 * (model.slots - DIGITS)
 
 
 def _encode(mark: int) -> bytes:
@@ -26,22 +29,24 @@ def _encode(mark: int) -> bytes:
     return b"".join((LOWEST_ADDRESS + digit).to_bytes(2, "little") for digit in digits)
 
 
-def leave_mark(bus: DynamixelBus, motors: Sequence[int]) -> int:
+def leave_mark(bus: DynamixelBus, motors: Mapping[int, Model]) -> int:
     """Writes a new mark to all motors; returns it."""
     mark = secrets.randbelow(BASE**DIGITS)
-    for motor in motors:
-        bus.write_bytes(motor, ADDRESS, _encode(mark))
+    for motor, model in motors.items():
+        bus.write_bytes(motor, _address(model), _encode(mark))
     return mark
 
 
-def erase_mark(bus: DynamixelBus, motor: int) -> None:
+def erase_mark(bus: DynamixelBus, motor: int, model: Model) -> None:
     """Takes the mark off a motor whose count of turns is lost by what is done to it."""
-    bus.write_bytes(motor, ADDRESS, (INDIRECT_DATA + FIRST_SLOT).to_bytes(2, "little") * DIGITS)
+    blank = (model.indirect_data + model.slots - DIGITS).to_bytes(2, "little") * DIGITS
+    bus.write_bytes(motor, _address(model), blank)
 
 
-def check_mark(bus: DynamixelBus, motors: Sequence[int], mark: int) -> None:
+def check_mark(bus: DynamixelBus, motors: Mapping[int, Model], mark: int) -> None:
     """Raises HardwareError, which names each motor that does not bear the mark."""
-    lost = [motor for motor in motors if bus.read_bytes(motor, ADDRESS, 2 * DIGITS) != _encode(mark)]
+    held = {motor: bus.read_bytes(motor, _address(model), 2 * DIGITS) for motor, model in motors.items()}
+    lost = [motor for motor, data in held.items() if data != _encode(mark)]
     if lost:
         names = ", ".join(bus.name(motor) for motor in lost)
         raise HardwareError(f"{names} lost power since that calibration, or has a newer one: calibrate again")

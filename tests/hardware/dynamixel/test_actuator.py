@@ -78,10 +78,10 @@ def test_reading_has_si_units_and_signs(actuator: DynamixelActuator, emulator: S
     assert before <= reading.stamp <= time.monotonic()
     assert reading.y[k] == pytest.approx(-RADII[k] * pi / 8)
     # Stall torque over stall current, 100 units of 2.69 mA, on a 10 mm spool.
-    assert reading.effort[k] == pytest.approx(1.3 * 0.269 / 0.01)
+    assert reading.effort[k] == pytest.approx(3.0 / 2.3 * 0.269 / 0.01)
     assert reading.raw["position"][k] == POSITIONS[motor] + 256 and reading.raw["current"][k] == 100
     emulator.do("load", motor, current=-100)
-    assert actuator.read().effort[k] == pytest.approx(-1.3 * 0.269 / 0.01)
+    assert actuator.read().effort[k] == pytest.approx(-3.0 / 2.3 * 0.269 / 0.01)
 
 
 @pytest.mark.parametrize("goals", ["left by an earlier program", "following the position"])

@@ -9,8 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from apcc_torch.errors import CommunicationError, DeviceFaultError
-from apcc_torch.hardware.dynamixel.bus import DynamixelBus, raise_all
-from apcc_torch.hardware.dynamixel.port import BusPort
+from apcc_torch.hardware.dynamixel.bus import DynamixelBus
 from apcc_torch.hardware.dynamixel.registers import (
     BUS_WATCHDOG,
     GOAL_POSITION,
@@ -18,6 +17,8 @@ from apcc_torch.hardware.dynamixel.registers import (
     PRESENT_POSITION,
     TORQUE_ENABLE,
 )
+from apcc_torch.hardware.servos.bus import raise_all
+from apcc_torch.hardware.servos.port import BusPort
 from hardware.dynamixel.rig import POSITIONS, TENDONS
 from hardware.emulators.servo.emulator import ServoEmulator
 from hardware.emulators.servo.packet import frame, status

@@ -15,7 +15,8 @@ import pytest
 
 from apcc_torch.errors import CommunicationError, DeviceFaultError, HardwareError
 from apcc_torch.hardware.dynamixel.actuator import DynamixelActuator
-from apcc_torch.hardware.dynamixel.registers import GOAL_POSITION, TORQUE_ENABLE, Register
+from apcc_torch.hardware.dynamixel.registers import GOAL_POSITION, TORQUE_ENABLE
+from apcc_torch.hardware.servos.register import Register
 from hardware.dynamixel.rig import GRIPPER, POSITIONS, TENDONS, goals_in_limits, settings
 from hardware.emulators.servo.emulator import ServoEmulator
 

@@ -11,7 +11,7 @@ from apcc_torch.errors import CommunicationError, DeviceFaultError, HardwareErro
 from apcc_torch.hardware.dynamixel import registers
 from apcc_torch.hardware.dynamixel.actuator import DynamixelActuator
 from apcc_torch.hardware.dynamixel.bus import DynamixelBus
-from apcc_torch.hardware.dynamixel.registers import Register
+from apcc_torch.hardware.servos.register import Register
 from hardware.dynamixel.rig import GRIPPER, POSITIONS, TENDONS, settings
 from hardware.emulators.servo.emulator import ServoEmulator
 

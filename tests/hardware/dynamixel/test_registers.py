@@ -11,7 +11,10 @@ from hypothesis import strategies as st
 
 from apcc_torch.errors import CommunicationError, ValueRangeError
 from apcc_torch.hardware.dynamixel import registers
-from apcc_torch.hardware.dynamixel.registers import Register, hardware_errors
+from apcc_torch.hardware.dynamixel.models import model_of
+from apcc_torch.hardware.dynamixel.registers import hardware_errors
+from apcc_torch.hardware.servos.register import Register
+from apcc_torch.hardware.servos.spool import TICK
 
 ALL = sorted(value for value in vars(registers).values() if isinstance(value, Register))
 CODES = {(1, False): "<B", (2, False): "<H", (4, False): "<I", (1, True): "<b", (2, True): "<h", (4, True): "<i"}
@@ -42,8 +45,8 @@ def test_ends_of_the_range(register: Register) -> None:
     [
         (registers.VELOCITY_UNIT, 0.229 / 60 * 2 * pi),  # rev/min
         (registers.ACCELERATION_UNIT, 214.577 / 60**2 * 2 * pi),  # rev/min^2
-        (registers.TICK, 2 * pi / 4096),
-        (registers.CURRENT_UNIT, 3.21 / 1193),  # the whole range is 3.21 A
+        (TICK, 2 * pi / 4096),
+        (model_of(1030).current_unit, 3.21 / 1193),  # the whole range is 3.21 A
     ],
 )
 def test_units_are_the_makers(unit: float, expected: float) -> None:

@@ -13,15 +13,11 @@ from typing import Self
 import numpy as np
 
 from hardware.emulators.arm import EmulatedArm
+from hardware.emulators.kinds import DYNAMIXEL, LOWER, MOTORS, RADII, SIGNS, UPPER, Kind
+from hardware.emulators.line import positions_file
 from hardware.emulators.natnet_server import NatNetServer
 from hardware.emulators.servo.emulator import ServoEmulator
-from hardware.emulators.servo.line import positions_file
 
-MOTORS = tuple(range(11, 20))
-ZEROS = tuple(9000 * (motor - 15) + 17 for motor in MOTORS)  # many turns away from the encoders' own
-RADII = (0.01, 0.01, 0.01, 0.012, 0.012, 0.012, 0.02, 0.02, 0.02)
-SIGNS = (1, -1, 1, -1, 1, -1, 1, -1, 1)
-LOWER, UPPER = -0.12, 0.12  # m; the emulated tendons push as well
 STEP = 0.01  # m between two commands
 NAMES = {1: "base", 2: "disk_1", 3: "disk_3", 4: "disk_5"}
 
@@ -32,18 +28,22 @@ class EmulatedPlatform:
     Args:
         folder: For the terminal's name.
         frame_rate: Of the cameras, Hz.
+        kind: The motors.
     """
 
-    def __init__(self, folder: Path, frame_rate: float = 50.0) -> None:
+    def __init__(self, folder: Path, frame_rate: float = 50.0, kind: Kind = DYNAMIXEL) -> None:
+        self.kind = kind
         self.link = folder / "servos"
         self.frame_rate = frame_rate
 
     def __enter__(self) -> Self:
         self.stack = ExitStack()
-        self.servos = ServoEmulator(self.link, dict(zip(MOTORS, ZEROS, strict=True)))
+        start = dict(zip(MOTORS, self.kind.zeros, strict=True))
+        self.servos = ServoEmulator(self.link, start, self.kind.models, self.kind.program)
         self.stack.callback(self.servos.close)
+        self._used()
         per_tick = [sign * radius * 2 * np.pi / 4096 for sign, radius in zip(SIGNS, RADII, strict=True)]
-        self.arm = EmulatedArm(positions_file(self.link), ZEROS, per_tick)
+        self.arm = EmulatedArm(positions_file(self.link), self.kind.zeros, per_tick)
         self.cameras = self.stack.enter_context(NatNetServer(NAMES, self.arm, rate=self.frame_rate))
         return self
 
@@ -55,24 +55,26 @@ class EmulatedPlatform:
         self.servos.do("unplug")
         self.servos.do("plug")
         self.servos.do("fresh")
+        self._used()
         self.cameras.fault()
         self.cameras.restart(version=(4, 1))
+
+    def _used(self) -> None:
+        if self.kind.before is not None:
+            for motor in MOTORS:
+                self.servos.do("poke", motor, **self.kind.before)
 
     @property
     def overrides(self) -> list[str]:
         """Settings that fit, with times that a busy machine keeps."""
-        motors = {
-            "port": self.link, "ids": list(MOTORS), "spool_radii": list(RADII), "signs": list(SIGNS),
-            "lower": LOWER, "upper": UPPER, "reply_timeout": 1.0, "bus_watchdog": 2.54, "profile_velocity": 20.0,
-            "profile_acceleration": 400.0,
-        }  # fmt: skip
+        motors = {"port": self.link} | self.kind.actuator
         cameras = {
             "server": "127.0.0.1", "interface": "127.0.0.1", "command_port": self.cameras.command_port,
             "base_frames": 5, "max_age": 0.6, "timeout": 0.9, "connect_timeout": 20.0, "max_speed": 5.0,
             "max_angular_rate": 40.0,
         }  # fmt: skip
         return [
-            "hardware=dynamixel_optitrack",
+            f"hardware={self.kind.preset}",
             "guards=simulated",
             f"guards.limits.lower={LOWER}",
             f"guards.limits.upper={UPPER}",
@@ -82,13 +84,17 @@ class EmulatedPlatform:
         ]
 
     def goals_in_limits(self) -> bool:
-        """Whether no motor was ever told to go outside the limits, by a rule of its own: whole ticks of arc length.
+        """Whether no motor was ever told to go outside the limits, or was there: whole ticks of arc length.
 
         The last goal may be that of a hold, which is where the motor was, however far it lagged behind.
         """
         report = self.servos.report()
         for k, motor in enumerate(MOTORS):
-            y = self.arm.metres_per_tick[k] * (np.array(report[motor]["goals"]) - ZEROS[k])
+            zero = self.kind.zeros[k]
+            reach = self.arm.metres_per_tick[k] * (np.array(report[motor]["reach"]) - zero)
+            if reach.min() < LOWER - 1e-4 or reach.max() > UPPER + 1e-4:
+                return False
+            y = self.arm.metres_per_tick[k] * (np.array(report[motor]["goals"]) - zero)
             if len(y) and (y.min() < LOWER - 1e-9 or y.max() > UPPER + 1e-9):
                 return False
             if len(y) > 2 and np.abs(np.diff(y[:-1])).max() > STEP + 1e-9:

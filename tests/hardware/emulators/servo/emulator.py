@@ -18,11 +18,19 @@ class ServoEmulator:
     Args:
         link: Name of the terminal, as /dev/serial/by-id gives one.
         motors: id -> start position in ticks.
+        models: id -> model number, where it is not the protocol's usual one.
+        program: The package of its protocol.
     """
 
-    def __init__(self, link: Path, motors: Mapping[int, int]) -> None:
+    def __init__(
+        self,
+        link: Path,
+        motors: Mapping[int, int],
+        models: Mapping[int, int] | None = None,
+        program: str = "hardware.emulators.servo",
+    ) -> None:
         self.link = link
-        command = [sys.executable, "-m", "hardware.emulators.servo", str(link), json.dumps(dict(motors))]
+        command = [sys.executable, "-m", program, str(link), json.dumps(dict(motors)), json.dumps(dict(models or {}))]
         self.process = subprocess.Popen(command, cwd=TESTS, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
         self._answer()
 
@@ -45,7 +53,7 @@ class ServoEmulator:
         return self._answer()
 
     def report(self) -> dict[int, dict[str, Any]]:
-        """Each motor's position, goal, torque, tripped, held (`Motor.held`), goals (every goal written), refused."""
+        """What each motor has to say, see `Line._report`: its position, its goals, its torque."""
         return {int(identity): found for identity, found in self.do("report").items()}
 
     def close(self) -> None:

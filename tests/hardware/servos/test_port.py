@@ -7,7 +7,7 @@ import time
 import pytest
 
 from apcc_torch.errors import CommunicationError
-from apcc_torch.hardware.dynamixel.port import BusPort
+from apcc_torch.hardware.servos.port import BusPort
 
 
 class Babble:

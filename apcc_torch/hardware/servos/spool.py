@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import pi
 
 import numpy as np
 from numpy.typing import NDArray
 
 from apcc_torch.errors import ShapeError, ValueRangeError
-from apcc_torch.hardware.dynamixel.registers import CURRENT_UNIT, MAX_POSITION, TICK, VELOCITY_UNIT
 
 Array = NDArray[np.float64]
 Ticks = NDArray[np.int64]
 
+TICKS_PER_TURN = 4096
+TICK = 2 * pi / TICKS_PER_TURN  # rad
 ROUND_OFF = 1e-9  # ticks: a limit that is a whole tick but for rounding is that tick
 
 
@@ -21,6 +23,7 @@ class Spools:
     """All spools: y = sign radius (ticks - zero) 2 pi / 4096.
 
     radii: (n_a,) m. signs: (n_a,) +1 or -1. lower, upper: (n_a,) m, the range of y. zero: (n_a,) ticks where y is 0.
+    farthest: Ticks either way that a motor can be sent to.
 
     Raises:
         ValueRangeError: A motor cannot reach its whole range from that zero.
@@ -31,13 +34,14 @@ class Spools:
     lower: Array
     upper: Array
     zero: Ticks
+    farthest: int
 
     def __post_init__(self) -> None:
         low, high = self.bounds
         for k in range(len(self.zero)):
-            if low[k] < -MAX_POSITION or high[k] > MAX_POSITION:
+            if low[k] < -self.farthest or high[k] > self.farthest:
                 raise ValueRangeError(
-                    f"tendon {k + 1} would leave the motor's range of {MAX_POSITION} ticks: turn the power off and on"
+                    f"tendon {k + 1} would leave the motor's range of {self.farthest} ticks: turn the power off and on"
                 )
 
     @property
@@ -61,16 +65,13 @@ class Spools:
         """Length changes (n_a,), m, at positions (n_a,)."""
         return self.length_per_tick * (ticks - self.zero)
 
-    def rate(self, velocity: Ticks) -> Array:
-        """Length rates (n_a,), m/s, of velocities in the register's unit."""
-        return self.signs * self.radii * (VELOCITY_UNIT * velocity)
+    def rate(self, speed: Array) -> Array:
+        """Length rates (n_a,), m/s, at motor speeds (n_a,), rad/s."""
+        return self.signs * self.radii * speed
 
-    def tension(self, current: Ticks, torque_constant: float) -> Array:
-        """Tensions (n_a,), N, of currents in the register's unit; positive where the motor pulls the tendon in.
-
-        Friction in the gears and the guides is in them: an estimate, at rest a rough one.
-        """
-        return -self.signs * torque_constant * (CURRENT_UNIT * current) / self.radii
+    def tension(self, torque: Array) -> Array:
+        """Tensions (n_a,), N, at motor torques (n_a,), N m; positive where the motor pulls the tendon in."""
+        return -self.signs * torque / self.radii
 
     def clip(self, ticks: Ticks) -> Ticks:
         """The nearest positions (n_a,) in the range."""

@@ -1,17 +1,17 @@
-"""The serial port under the Dynamixel SDK: a monotonic clock, a short reply timeout, and one error for a lost port."""
+"""The serial port under a maker's SDK: a monotonic clock, a short reply timeout, and one error for a lost port."""
 
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 
 from apcc_torch.errors import CommunicationError
 from apcc_torch.plain_text import plain_logger
 
 try:
-    from dynamixel_sdk import PortHandler
     from serial import Serial
 except ModuleNotFoundError:  # the settings can be read all the same; who builds the driver is told
-    PortHandler = object
+    Serial = None
 
 log = plain_logger(__name__)
 
@@ -26,11 +26,12 @@ GRACE = 16
 MAX_STALE_READS = 16
 
 
-class BusPort(PortHandler):
-    """The SDK's port, with what it lacks.
+class BusPort:
+    """What the SDKs' packet handlers ask of their port, by the names that they call.
 
-    The SDK's timeouts take the wall clock and wait 34 ms for a missing motor. Unplugging the adapter leaves its port
-    marked as in use. Here every failure of the line is a `CommunicationError` and leaves the port free to be reopened.
+    Dynamixel's and Feetech's SDK have the same port, and it lacks the same: its timeouts take the wall clock and wait
+    34 or 50 ms for a missing motor, and unplugging the adapter leaves it marked as in use. Here every failure of the
+    line is a `CommunicationError` and leaves the port free to be reopened.
 
     Args:
         name: Device, as in "/dev/ttyUSB0".
@@ -39,39 +40,33 @@ class BusPort(PortHandler):
     """
 
     def __init__(self, name: str, baud: int, reply_timeout: float) -> None:
-        super().__init__(name)
+        self.port_name = name
         self.baudrate = baud
         self.reply_timeout = reply_timeout
-        self.packet_timeout: float = 0.0
+        self.ser: Serial | None = None
+        self.is_open = self.is_using = False
+        self.tx_time_per_byte = BITS_PER_BYTE * 1e3 / baud  # ms
+        self.packet_start_time = self.packet_timeout = 0.0  # ms
         self.grace = 0
 
-    def openPort(self) -> bool:
-        """Opens the port for this process alone.
+    def openPort(self) -> None:
+        """Opens the port for this process alone, with writes that never wait for ever.
 
         Raises:
             CommunicationError: It is not there, is in use, or does not know the baud rate.
         """
+        self.closePort()
         try:
-            opened = bool(super().openPort())
+            self.ser = Serial(self.port_name, self.baudrate, timeout=WAIT, write_timeout=WRITE_TIMEOUT, exclusive=True)
         except (OSError, ValueError) as error:
             raise CommunicationError(f"cannot open the port {self.port_name}: {error}") from error
-        if not opened:
-            raise CommunicationError(f"cannot open the port {self.port_name}: no baud rate {self.baudrate}")
-        return opened
-
-    def setupPort(self, cflag_baud: int) -> bool:
-        """What the SDK calls to open: exclusive, and with writes that never wait for ever."""
-        self.closePort()
-        self.ser = Serial(self.port_name, cflag_baud, timeout=WAIT, write_timeout=WRITE_TIMEOUT, exclusive=True)
         self.is_open = True
         self.is_using = False
-        self.tx_time_per_byte = BITS_PER_BYTE * 1e3 / cflag_baud
         try:
             self.ser.set_low_latency_mode(True)
         except (OSError, ValueError, NotImplementedError) as error:
             # Only an FTDI adapter has the mode; others do not delay.
             log.debug("%s has no low-latency mode: %s", self.port_name, error)
-        return True
 
     def closePort(self) -> None:
         """Closes the port. Safe in any state."""
@@ -106,7 +101,7 @@ class BusPort(PortHandler):
         except OSError as error:
             raise self._lost(error) from error
 
-    def writePort(self, packet: list[int]) -> int:
+    def writePort(self, packet: Sequence[int]) -> int:
         """Writes a packet; returns the number of bytes written."""
         if self.ser is None:
             raise CommunicationError(f"the port {self.port_name} is not open")
@@ -126,6 +121,15 @@ class BusPort(PortHandler):
     def getCurrentTime(self) -> float:
         """ms, monotonic."""
         return time.monotonic() * 1e3
+
+    def getTimeSinceStart(self) -> float:
+        """ms since the wait began."""
+        return self.getCurrentTime() - self.packet_start_time
+
+    def setPacketTimeoutMillis(self, milliseconds: float) -> None:
+        """Starts a wait."""
+        self.packet_start_time = self.getCurrentTime()
+        self.packet_timeout = milliseconds
 
     def setPacketTimeout(self, packet_length: int) -> None:
         """Starts the wait for a reply of `packet_length` bytes."""

@@ -11,9 +11,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from apcc_torch.errors import ShapeError, ValueRangeError
-from apcc_torch.hardware.dynamixel.registers import MAX_POSITION
-from apcc_torch.hardware.dynamixel.spool import Spools
+from apcc_torch.hardware.servos.spool import Spools
 
+MAX_POSITION = 1_048_575
 RADII = st.floats(0.002, 0.1)
 ENDS = st.tuples(st.floats(-0.2, -1e-3), st.floats(0, 0.05))
 ZERO = st.integers(-900_000, 900_000)
@@ -21,7 +21,9 @@ SIGN = st.sampled_from([-1, 1])
 
 
 def one(radius: float, sign: int, zero: int, lower: float = -0.075, upper: float = 0.0) -> Spools:
-    return Spools(np.array([radius]), np.array([sign]), np.array([lower]), np.array([upper]), np.array([zero]))
+    return Spools(
+        np.array([radius]), np.array([sign]), np.array([lower]), np.array([upper]), np.array([zero]), MAX_POSITION
+    )
 
 
 @given(radius=RADII, sign=SIGN, zero=ZERO, ends=ENDS, part=st.floats(0, 1))
@@ -78,11 +80,11 @@ def test_huge_lengths_are_clipped_and_not_wrapped(y: float, sign: int) -> None:
 
 def test_rates_and_tensions() -> None:
     spools = one(0.01, -1, 0)
-    # 100 units of 0.229 rev/min shorten the tendon at a radius of 10 mm.
-    assert spools.rate(np.array([100]))[0] == pytest.approx(-22.9 / 60 * 2 * pi * 0.01)
-    # 1 A pulls in with 1.3 N m: 130 N.
-    assert spools.tension(np.array([1000]), 1.3)[0] == pytest.approx(2.69 * 1.3 / 0.01)
-    assert one(0.01, 1, 0).tension(np.array([1000]), 1.3)[0] == pytest.approx(-2.69 * 1.3 / 0.01)
+    # 22.9 rev/min shorten the tendon at a radius of 10 mm.
+    assert spools.rate(np.array([22.9 / 60 * 2 * pi]))[0] == pytest.approx(-22.9 / 60 * 2 * pi * 0.01)
+    # 1.3 N m pull in with 130 N.
+    assert spools.tension(np.array([1.3]))[0] == pytest.approx(130)
+    assert one(0.01, 1, 0).tension(np.array([1.3]))[0] == pytest.approx(-130)
 
 
 def test_refusals() -> None:
