@@ -1,10 +1,10 @@
 """The whole runner on the emulated platform: `PYTHONPATH=tests python benchmarks/emulated.py` saves emulated.json.
 
-The real Dynamixel SDK talks to motors on a pseudo terminal, the real NatNet parser to cameras on loopback, each in a
-process of its own; in between is an arm that follows the tendons by kinematics. The run tracks a curve, calibrated
-first as on the arm. It fails, with exit code 1, where the budget of missed deadlines is spent, where one exchange with
-a motor fails, or where the log replays to other commands. Three processes need as many free cores: deadlines that a
-busy machine misses say nothing about the runner.
+The real Dynamixel SDK talks to motors on a pseudo terminal, the real NatNet parser to cameras on loopback, or with
+--cameras qualisys the real parser of QTM's protocol, each in a process of its own; in between is an arm that follows
+the tendons by kinematics. The run tracks a curve, calibrated first as on the arm. It fails, with exit code 1, where the
+budget of missed deadlines is spent, where one exchange with a motor fails, or where the log replays to other commands.
+Three processes need as many free cores: deadlines that a busy machine misses say nothing about the runner.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from apcc_torch.hardware.records import Outcome
 from apcc_torch.hardware.stops import StopReason
 from apcc_torch.hardware.summary import STAGES
 from composed import composed_realtime
-from hardware.emulators.rig import EmulatedPlatform
+from hardware.emulators.rig import MAKES, EmulatedPlatform
 
 # What the guards are on the arm: more than 5 missed deadlines in a second end the run.
 OVERRUNS, WINDOW = 5, 1.0
@@ -36,9 +36,9 @@ SAME = 1e-9  # m between a command and its replay
 CURVE = ("experiment=tracking", "experiment.payloads=[0.0]", "experiment.A=[0.1,0.1,0.03]", "loop.hold=0.0")
 
 
-def measure(rate: float, seconds: float, folder: Path, more: list[str]) -> dict[str, float | str]:
+def measure(rate: float, seconds: float, folder: Path, more: list[str], cameras: str) -> dict[str, float | str]:
     """One run at a rate; its metrics, how it ended, and the exchanges that failed."""
-    with EmulatedPlatform(folder, rate) as emulated:
+    with EmulatedPlatform(folder, rate, cameras) as emulated:
         file = folder / "arm.json"
         common = [*emulated.overrides, "view=false", f"calibration.file={file}"]
         outcome, _ = arm_calibration.run(composed_realtime("experiment=calibration", *common), folder)
@@ -89,11 +89,12 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--rate", type=float, default=100.0, help="of the loop and of the cameras, Hz")
     parser.add_argument("--seconds", type=float, default=60.0)
+    parser.add_argument("--cameras", choices=tuple(MAKES), default="optitrack")
     parser.add_argument("--out", type=Path, default=Path("emulated.json"))
     parser.add_argument("overrides", nargs="*", help="settings of apcc_torch.robot, as key=value")
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
-        found = measure(arguments.rate, arguments.seconds, Path(folder), arguments.overrides)
+        found = measure(arguments.rate, arguments.seconds, Path(folder), arguments.overrides, arguments.cameras)
     shown = ("reason", "message", "turns", "control_steps", "late_turns", "missed_deadlines")
     for name in (*shown, "missed_deadlines_in_a_window_max", "failed_exchanges", "replay_difference_m"):
         print(f"{name:<33} {found.get(name)}")

@@ -45,8 +45,9 @@ STATES = {
 
 
 @pytest.fixture(scope="module")
-def platform(tmp_path_factory: pytest.TempPathFactory) -> Iterator[EmulatedPlatform]:
-    with EmulatedPlatform(tmp_path_factory.mktemp("platform"), frame_rate=100.0) as platform:
+def platform(tmp_path_factory: pytest.TempPathFactory, request: pytest.FixtureRequest) -> Iterator[EmulatedPlatform]:
+    make = getattr(request, "param", "optitrack")
+    with EmulatedPlatform(tmp_path_factory.mktemp("platform"), 100.0, make) as platform:
         yield platform
 
 
@@ -118,7 +119,12 @@ def ran(scene: Scene, fault: Fault, monkeypatch: pytest.MonkeyPatch) -> int:
     return int(str(ended.value.code))
 
 
-@pytest.mark.parametrize("fault", [pytest.param(fault, id=fault.name) for fault in Fault.every()])
+@pytest.mark.parametrize(
+    ("platform", "fault"),
+    [pytest.param("optitrack", fault, id=fault.name) for fault in Fault.every()]
+    + [pytest.param("qualisys", fault, id=f"qualisys, {fault.name}") for fault in Fault.of_qualisys()],
+    indirect=["platform"],
+)
 def test_every_fault_ends_as_the_table_says(scene: Scene, fault: Fault, monkeypatch: pytest.MonkeyPatch) -> None:
     before = scene.platform.servos.report()
     code = ran(scene, fault, monkeypatch)
@@ -234,6 +240,7 @@ def test_kill_9(scene: Scene) -> None:
     assert robot_log(["replay", str(scene.folder / "log.mcap")]) == 0
 
 
+@pytest.mark.parametrize("platform", ["optitrack", "qualisys"], indirect=True)
 def test_small_faults_do_not_end_a_run(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
     """Lost and spoilt replies now and then, garbage, copies, and frames from another sender."""
 

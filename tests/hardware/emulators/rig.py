@@ -13,7 +13,9 @@ from typing import Self
 import numpy as np
 
 from hardware.emulators.arm import EmulatedArm
+from hardware.emulators.mocap_server import MocapServer
 from hardware.emulators.natnet_server import NatNetServer
+from hardware.emulators.qtm_server import QtmServer
 from hardware.emulators.servo.emulator import ServoEmulator
 from hardware.emulators.servo.line import positions_file
 
@@ -23,6 +25,11 @@ RADII = (0.01, 0.01, 0.01, 0.012, 0.012, 0.012, 0.02, 0.02, 0.02)
 SIGNS = (1, -1, 1, -1, 1, -1, 1, -1, 1)
 LOWER, UPPER = -0.12, 0.12  # m; the emulated tendons push as well
 STEP = 0.01  # m between two commands
+MAKES: dict[str, tuple[type[MocapServer], str]] = {
+    "optitrack": (NatNetServer, "command_port"),
+    "qualisys": (QtmServer, "port"),
+}
+"""Emulator of each make of cameras, and the setting that has its port."""
 NAMES = {1: "base", 2: "disk_1", 3: "disk_3", 4: "disk_5"}
 
 
@@ -32,11 +39,13 @@ class EmulatedPlatform:
     Args:
         folder: For the terminal's name.
         frame_rate: Of the cameras, Hz.
+        make: Of the cameras, one of `MAKES`.
     """
 
-    def __init__(self, folder: Path, frame_rate: float = 50.0) -> None:
+    def __init__(self, folder: Path, frame_rate: float = 50.0, make: str = "optitrack") -> None:
         self.link = folder / "servos"
         self.frame_rate = frame_rate
+        self.make = make
 
     def __enter__(self) -> Self:
         self.stack = ExitStack()
@@ -44,7 +53,7 @@ class EmulatedPlatform:
         self.stack.callback(self.servos.close)
         per_tick = [sign * radius * 2 * np.pi / 4096 for sign, radius in zip(SIGNS, RADII, strict=True)]
         self.arm = EmulatedArm(positions_file(self.link), ZEROS, per_tick)
-        self.cameras = self.stack.enter_context(NatNetServer(NAMES, self.arm, rate=self.frame_rate))
+        self.cameras = self.stack.enter_context(MAKES[self.make][0](NAMES, self.arm, rate=self.frame_rate))
         return self
 
     def __exit__(self, *unused: object) -> None:
@@ -56,7 +65,7 @@ class EmulatedPlatform:
         self.servos.do("plug")
         self.servos.do("fresh")
         self.cameras.fault()
-        self.cameras.restart(version=(4, 1))
+        self.cameras.restart(version=type(self.cameras).version)
 
     @property
     def overrides(self) -> list[str]:
@@ -67,12 +76,12 @@ class EmulatedPlatform:
             "profile_acceleration": 400.0,
         }  # fmt: skip
         cameras = {
-            "server": "127.0.0.1", "interface": "127.0.0.1", "command_port": self.cameras.command_port,
+            "server": "127.0.0.1", "interface": "127.0.0.1", MAKES[self.make][1]: self.cameras.command_port,
             "base_frames": 5, "max_age": 0.6, "timeout": 0.9, "connect_timeout": 20.0, "max_speed": 5.0,
             "max_angular_rate": 40.0,
         }  # fmt: skip
         return [
-            "hardware=dynamixel_optitrack",
+            f"hardware=dynamixel_{self.make}",
             "guards=simulated",
             f"guards.limits.lower={LOWER}",
             f"guards.limits.upper={UPPER}",
