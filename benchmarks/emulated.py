@@ -1,10 +1,10 @@
 """The whole runner on the emulated platform: `PYTHONPATH=tests python benchmarks/emulated.py` saves emulated.json.
 
-The real Dynamixel SDK talks to motors on a pseudo terminal, the real NatNet parser to cameras on loopback, each in a
-process of its own; in between is an arm that follows the tendons by kinematics. The run tracks a curve, calibrated
-first as on the arm. It fails, with exit code 1, where the budget of missed deadlines is spent, where one exchange with
-a motor fails, or where the log replays to other commands. Three processes need as many free cores: deadlines that a
-busy machine misses say nothing about the runner.
+The real Dynamixel SDK talks to motors on a pseudo terminal, the real NatNet parser to cameras on loopback, or with
+--cameras qualisys the real parser of QTM's protocol, each in a process of its own; in between is an arm that follows
+the tendons by kinematics. The run tracks a curve, calibrated first as on the arm. It fails, with exit code 1, where the
+budget of missed deadlines is spent, where one exchange with a motor fails, or where the log replays to other commands.
+Three processes need as many free cores: deadlines that a busy machine misses say nothing about the runner.
 
 `--motors` takes other motors: Dynamixels that are told velocities, of mixed models, or Feetech's.
 """
@@ -29,7 +29,7 @@ from apcc_torch.hardware.stops import StopReason
 from apcc_torch.hardware.summary import STAGES
 from composed import composed_realtime
 from hardware.emulators.kinds import DYNAMIXEL, KINDS, Kind
-from hardware.emulators.rig import EmulatedPlatform
+from hardware.emulators.rig import MAKES, EmulatedPlatform
 
 # What the guards are on the arm: more than 5 missed deadlines in a second end the run.
 OVERRUNS, WINDOW = 5, 1.0
@@ -39,9 +39,11 @@ SAME = 1e-9  # m between a command and its replay
 CURVE = ("experiment=tracking", "experiment.payloads=[0.0]", "experiment.A=[0.1,0.1,0.03]", "loop.hold=0.0")
 
 
-def measure(kind: Kind, rate: float, seconds: float, folder: Path, more: list[str]) -> dict[str, float | str]:
+def measure(
+    kind: Kind, cameras: str, rate: float, seconds: float, folder: Path, more: list[str]
+) -> dict[str, float | str]:
     """One run at a rate; its metrics, how it ended, and the exchanges that failed."""
-    with EmulatedPlatform(folder, rate, kind) as emulated:
+    with EmulatedPlatform(folder, rate, kind, cameras) as emulated:
         file = folder / "arm.json"
         prompt = [f"hardware.actuator.{key}={value}" for key, value in kind.prompt.items()]
         common = [*emulated.overrides, *prompt, "view=false", f"calibration.file={file}"]
@@ -94,11 +96,13 @@ def main() -> int:
     parser.add_argument("--motors", choices=tuple(KINDS), default=DYNAMIXEL.name)
     parser.add_argument("--rate", type=float, default=100.0, help="of the loop and of the cameras, Hz")
     parser.add_argument("--seconds", type=float, default=60.0)
+    parser.add_argument("--cameras", choices=tuple(MAKES), default="optitrack")
     parser.add_argument("--out", type=Path, default=Path("emulated.json"))
     parser.add_argument("overrides", nargs="*", help="settings of apcc_torch.robot, as key=value")
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
-        found = measure(KINDS[arguments.motors], arguments.rate, arguments.seconds, Path(folder), arguments.overrides)
+        given = arguments
+        found = measure(KINDS[given.motors], given.cameras, given.rate, given.seconds, Path(folder), given.overrides)
     shown = ("reason", "message", "turns", "control_steps", "late_turns", "missed_deadlines")
     for name in (*shown, "missed_deadlines_in_a_window_max", "failed_exchanges", "replay_difference_m"):
         print(f"{name:<33} {found.get(name)}")

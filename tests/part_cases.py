@@ -38,15 +38,18 @@ from apcc_torch.model.friction import TendonTransmission
 from apcc_torch.model.mount import MountedArm, RigidMount
 from apcc_torch.model.static_body import StaticBody
 from apcc_torch.part import Part
+from apcc_torch.simulation.curvature_sensors import CurvatureSensors
 from apcc_torch.simulation.divergence import Divergence
 from apcc_torch.simulation.dynamic import ClosedLoop
 from apcc_torch.simulation.events import ArmEvents
 from apcc_torch.simulation.exact import ExactLoop
+from apcc_torch.simulation.inertial_units import InertialUnits
 from apcc_torch.simulation.kinematic import FeedbackLoop
 from apcc_torch.simulation.plant import Plant
 from apcc_torch.simulation.rod_plant import RodPlant
 from apcc_torch.simulation.sensors import PoseSensors
 from followed import along, fit, fitted, followed, hung, led, loaded
+from laws import generator
 from parts import (
     URDF,
     advanced,
@@ -334,6 +337,18 @@ CASES: dict[str, Case] = {
         sensed,
         lambda: scalars(position_noise=1e-3, angular_noise=1e-2),
         lambda: {"delay": 1},
+    ),
+    "InertialUnits": Case(
+        lambda **t: InertialUnits(**t),
+        lambda of: of(of.initial_state(some(3), generator()), poses()[..., :3, :3], some(3, 4))[1],
+        lambda: scalars(tilt_noise=1e-2, mounting=2e-2, heading=0.1, heading_drift=1e-2),
+        lambda: {"heading": 0.3},
+    ),
+    "CurvatureSensors": Case(
+        lambda **t: CurvatureSensors(**t),
+        lambda of: of(of.initial_state(some(2, 2), 1, generator()), some(2, 2), some(2, 2))[1],
+        lambda: scalars(noise=0.1, offset=0.2),
+        lambda: {"noise": 0.3},
     ),
     "Plant": Case(
         lambda **t: Plant(dynamics(), routing(), TendonPID(), **{"payload": numbers(0.1, 0.2), **t}),

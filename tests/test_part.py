@@ -40,8 +40,10 @@ from apcc_torch.model.constant_strain import ConstantStrainBackbone
 from apcc_torch.model.friction import TendonTransmission, TendonTransmissionSettings
 from apcc_torch.part import Configurable, Part, part_of, row_tensors
 from apcc_torch.settings import Setting, Settings, about_of, default_of, resolved, setting
+from apcc_torch.simulation.curvature_sensors import CurvatureSensors, CurvatureSensorsSettings
 from apcc_torch.simulation.divergence import Divergence
 from apcc_torch.simulation.events import ArmEvents, ArmEventsSettings
+from apcc_torch.simulation.inertial_units import InertialUnits, InertialUnitsSettings
 from apcc_torch.simulation.plant import Plant, PlantSettings
 from apcc_torch.simulation.rod_plant import RodPlant, RodPlantSettings
 from apcc_torch.simulation.sensors import PoseSensors
@@ -216,7 +218,9 @@ MAKE: dict[type[Part], Callable[..., Part]] = {
     ArcFit: lambda **s: ArcFit(PCCBackbone(3, HANGING_BASE), PI, **s),
     CompositeController: lambda **s: CompositeController(controller(), **s),
     ConstantStrainBackbone: lambda **s: ConstantStrainBackbone(3, HANGING_BASE, **s),
+    CurvatureSensors: CurvatureSensors,
     Divergence: Divergence,
+    InertialUnits: InertialUnits,
     InverseKinematics: lambda **s: InverseKinematics(n_sections=3, **s),
     LengthBounds: lambda **s: LengthBounds(PI, X, **s),
     LoadedShape: lambda **s: LoadedShape.on(ARM, LoadedShapeSettings(**s)),
@@ -241,7 +245,9 @@ OTHER: dict[str, Any] = {
     "CompositeController.upper": (1.0, 99.0, 900.0, 1.0, 2.0),
     "ConstantStrainBackbone.strains": ("bend_x", "bend_y", "torsion", "elongation"),
     "arm": ArmChanges(mass=2.0),
+    "curvature": CurvatureSensorsSettings(noise=0.1),
     "events": ArmEventsSettings(taken=-0.1, growth=0.1),
+    "inertial": InertialUnitsSettings(tilt_noise=0.02),
     "pid": TendonPIDSettings(K_P=700.0, force_limit=40.0),
     "places": PlaceErrors(sensors=-0.01),
     "window": 9,

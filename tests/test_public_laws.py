@@ -171,6 +171,19 @@ def estimated(of: LoadedShape, strain: Tensor, T: Tensor, y: Tensor, dt: Tensor)
     return state
 
 
+def mixed(dtype: torch.dtype) -> LoadedShape:
+    arm = ARM.changed(sensed=("orientation", "pose", "tilt"), curvature_sensors=(0.05, 0.3))
+    return LoadedShape.on(arm, LoadedShapeSettings()).to(dtype)
+
+
+def estimated_from_all(
+    of: LoadedShape, strain: Tensor, T: Tensor, y: Tensor, dt: Tensor, X: Tensor, kappa: Tensor
+) -> Any:
+    state = estimated(of, strain, T, y, dt)
+    counts = torch.isfinite(T).all(-1).all(-1)
+    return of(state, T, counts, counts, y, dt, torch.stack((kappa[..., :2], X[..., :2]), dim=-1))
+
+
 def followed(of: ShapeFeedback, q: Tensor, L0: Tensor, T: Tensor, y: Tensor, dt: Tensor) -> Any:
     return of(of.initial_state(q, L0), q, L0, T, *(torch.isfinite(T).all(-1).all(-1),) * 2, y, dt)
 
@@ -221,6 +234,9 @@ LAWS: dict[str, Law] = {
     ),
     "loaded_shape": Law(
         per_dtype(lambda d: shape_feedback(d).shape, estimated), make("q_seed", "T", "y", "time"), (), 10.0
+    ),
+    "loaded_shape_of_mixed_sensors": Law(
+        per_dtype(mixed, estimated_from_all), make("q_seed", "T", "y", "time", "X", "x"), (), 10.0
     ),
     "arc_fit": Law(
         per_dtype(lambda d: shape_feedback(d).fit, ArcFit.__call__), make("q_seed", "L0", "curve", "share"), (), 10.0

@@ -32,7 +32,9 @@ from apcc_torch.model.arm import Arm
 from apcc_torch.model.backbone import PCCBackbone
 from apcc_torch.part import Configurable, part_of
 from apcc_torch.settings import About, Settings, about_of, aligned, check_setting, default_of, is_on, names, resolved
+from apcc_torch.simulation.curvature_sensors import CurvatureSensors
 from apcc_torch.simulation.events import ArmEvents
+from apcc_torch.simulation.inertial_units import InertialUnits
 from apcc_torch.simulation.plant import Plant
 from apcc_torch.simulation.rod_plant import RodPlant
 from apcc_torch.simulation.sensors import PoseSensors
@@ -233,6 +235,19 @@ def hung(**settings: Any) -> Tensor:
     return followed(ShapeFeedback(made, ArcFit(PCCBackbone(3, HANGING_BASE), PI)))
 
 
+MIXED = Arm(lengths=PI.tolist(), sensed=("orientation", "pose", "tilt"), curvature_sensors=(0.1, 0.4))
+
+
+def hung_mixed(**settings: Any) -> Tensor:
+    made = LoadedShape.on(MIXED, LoadedShapeSettings(**settings))
+    return followed(ShapeFeedback(made, ArcFit(PCCBackbone(3, HANGING_BASE), PI)))
+
+
+def led_mixed(**settings: Any) -> Tensor:
+    law = ShapeLaw(PI, estimator(), **settings)
+    return followed(law.shape_feedback(MIXED, PCCBackbone(3, HANGING_BASE)))
+
+
 def fitted(**settings: Any) -> Tensor:
     made = LoadedShape.on(Arm(lengths=PI.tolist()), LoadedShapeSettings())
     return followed(ShapeFeedback(made, ArcFit(PCCBackbone(3, HANGING_BASE), PI, **settings)))
@@ -247,9 +262,10 @@ def followed(of: ShapeFeedback) -> Tensor:
     """q_bar and the load after two steps, of sensors and tendons that do not agree."""
     q, dt, y = 0.3 * randn(ROWS, 9) * rows(1.0, 1.0, 0.05).repeat(3), rows(0.02, 0.03, 0.04), 2e-3 * randn(ROWS, 9)
     T, counts = PCCBackbone(3, HANGING_BASE).pose(q, PI, *decouple(PI.cumsum(0), PI)), torch.ones(ROWS, 3).bool()
+    curvature = 2.0 * randn(ROWS, 2, 2)
     state, q_bar = of.initial_state(0.8 * q, PI.expand(ROWS, 3)), 0.8 * q
     for _ in range(2):
-        state, q_bar = of(state, q_bar, PI.expand(ROWS, 3), T, counts, counts, y, dt)
+        state, q_bar = of(state, q_bar, PI.expand(ROWS, 3), T, counts, counts, y, dt, curvature)
     return torch.cat((q_bar, state.shape.sections, state.shape.load.unsqueeze(-1)), dim=-1)
 
 
@@ -280,6 +296,18 @@ def happened(**settings: Any) -> Tensor:
     return torch.cat((made.payload(rows(0.1, 0.2, 0.3), time).unsqueeze(-1), made.growth_at(time)), dim=-1)
 
 
+def carried_along(**settings: Any) -> Tensor:
+    made = InertialUnits(**{"tilt_noise": 1e-3, **settings})
+    state = made.initial_state(torch.zeros(ROWS, 2).double(), torch.Generator().manual_seed(1))
+    return made(state, torch.eye(3).double().expand(ROWS, 2, 3, 3), randn(ROWS, 2, 4))[1]
+
+
+def read_off(**settings: Any) -> Tensor:
+    made = CurvatureSensors(**settings)
+    state = made.initial_state(torch.zeros(ROWS, 2, 2).double(), 0, torch.Generator().manual_seed(1))
+    return made(state, torch.zeros(ROWS, 2, 2).double(), randn(ROWS, 2, 2))[1]
+
+
 HUNG: dict[str, tuple[float, ...]] = {
     "position_noise": (1e-4, 1e-3, 1e-2),
     "angular_noise": (1e-3, 1e-2, 0.1),
@@ -289,6 +317,12 @@ HUNG: dict[str, tuple[float, ...]] = {
     "load": (0.01, 0.1, 1.0),
     "load_rate": (0.01, 0.1, 1.0),
     "sag_time": (0.1, 0.2, 9.0),
+}
+HUNG_MIXED: dict[str, tuple[float, ...]] = {
+    "tilt_noise": (1e-3, 1e-2, 0.1),
+    "heading_noise": (0.0, 1e-2, 0.3),
+    "heading_drift": (0.0, 0.1, 9.0),
+    "curvature_noise": (0.01, 0.1, 1.0),
 }
 FITTED: dict[str, tuple[float, ...]] = {"curve_noise": (1e-4, 1e-3, 1e-2), "length_prior": (0.01, 0.1, 1.0)}
 
@@ -359,6 +393,18 @@ USES: dict[tuple[type, Callable[..., Tensor]], dict[str, tuple[float, ...]]] = {
         "elongation_bound": (1e-5, 1e-4, 1e-3),
     },
     (LoadedShape, hung): HUNG,
+    (LoadedShape, hung_mixed): HUNG_MIXED,
+    (ShapeLaw, led_mixed): HUNG_MIXED,
+    (InertialUnits, carried_along): {
+        "tilt_noise": (1e-3, 1e-2, 0.1),
+        "mounting": (1e-3, 1e-2, 0.1),
+        "heading": (1e-3, 1e-2, 0.1),
+        "heading_drift": (1e-2, 0.1, 1.0),
+    },
+    (CurvatureSensors, read_off): {
+        "noise": (1e-3, 1e-2, 0.1),
+        "offset": (1e-3, 1e-2, 0.1),
+    },
     (ArcFit, fitted): FITTED,
     (ShapeLaw, led): {**HUNG, **FITTED},
     (ShapeLaw, taken_over): {

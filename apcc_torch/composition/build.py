@@ -12,6 +12,7 @@ from apcc_torch.control.controller import APCCController
 from apcc_torch.control.trajectory import SetPoint, SineTrajectory
 from apcc_torch.errors import ConfigError
 from apcc_torch.model.arm import Arm, vector
+from apcc_torch.model.curvature import curvature_places
 from apcc_torch.model.kinematic_model import KinematicModel
 from apcc_torch.model.tendons import TendonRouting
 from apcc_torch.part import part_of
@@ -162,4 +163,14 @@ class Builder:
     def pose_sensors(self) -> PoseSensors:
         """What stands between the true poses and the controller."""
         # Runs side by side have one seed, and each sees what it would see alone.
-        return PoseSensors(self.config.sensors, shared=0 if self.points is None else 1)
+        return PoseSensors(
+            self.config.sensors,
+            shared=0 if self.points is None else 1,
+            kinds=self.arm.sensor_kinds(),
+            period=1.0 / float(self.config.controller.rate),
+        )
+
+    def curvature_places(self) -> Tensor | None:
+        """(n_c,) abscissae where curvature is measured, m; None for nowhere."""
+        places = curvature_places(self.arm)
+        return None if places is None else self.placed(places)

@@ -36,6 +36,12 @@ class RealtimeBuilder:
     """
 
     def __init__(self, settings: RealtimeSettings) -> None:
+        arm = settings.arm
+        if arm.sensor_kinds() is not None or arm.curvature_sensors is not None:
+            raise ConfigError(
+                "arm.sensed and arm.curvature_sensors must be null here: the loop on an arm reads poses alone; "
+                "mixed sensors run in a simulation, or through APCCController"
+            )
         self.settings = settings
         self.model = Builder(settings)
 

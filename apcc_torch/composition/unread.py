@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import TypeVar
 
 from apcc_torch.composition.run_settings import RunSettings, SimulateSettings
+from apcc_torch.control.length_law import LengthLaw
 from apcc_torch.errors import Checks, ConfigError
 from apcc_torch.part import part_of
 from apcc_torch.settings import Settings
@@ -88,6 +89,7 @@ def of_a_run(c: RunSettings, velocity: bool = False) -> Unread:
         yield "arm.stiffness_reference arm.stiffness_rule", "arm.axial_rigidity and arm.bending_rigidity say it"
     if arm.tendons.offsets is not None:
         yield "arm.tendon_offset", "arm.tendons.offsets says it"
+    yield from of_its_sensors(c, law is not None and law.shape_feedback is not LengthLaw.shape_feedback)
     for on in ("arm", "plant.arm"):
         yield f"{on}.actuation {on}.mounts {on}.rest_bend {on}.placement.position", "identification alone needs it"
     events = c.plant.events
@@ -99,6 +101,22 @@ def of_a_run(c: RunSettings, velocity: bool = False) -> Unread:
         yield SINE, "experiment.setpoints are the targets"
     elif e.kind != "kinematic":
         yield "experiment.subset", "there are no experiment.setpoints"
+
+
+def of_its_sensors(c: RunSettings, shape: bool) -> Unread:
+    """What kinds of sensors that are not there would read; `shape`: whether the law estimates the arm's shape."""
+    yield "plant.arm.sensed plant.arm.curvature_sensors", "arm.sensed and arm.curvature_sensors say it of the true arm"
+    kinds, own = c.arm.sensor_kinds(), shape and c.controller.adaptive
+    if kinds is None or not kinds.inertial:
+        yield "sensors.inertial", "arm.sensed names no orientation and no tilt"
+        if own:
+            yield "adaptation.tilt_noise adaptation.heading_noise adaptation.heading_drift", "arm.sensed names none"
+    if c.arm.curvature_sensors is None:
+        yield "sensors.curvature", "arm.curvature_sensors is null"
+        if own:
+            yield "adaptation.curvature_noise", "arm.curvature_sensors is null"
+    elif not own:
+        yield "arm.curvature_sensors sensors.curvature", "algorithm 2 takes positions and poses alone"
 
 
 def of_a_simulation(c: SimulateSettings) -> Unread:
@@ -124,6 +142,7 @@ def of_a_simulation(c: SimulateSettings) -> Unread:
         moved = "experiment replay moves no arm"
         yield f"plant sensors dynamics_law experiment.duration experiment.payloads {ONE_TARGET} {SINE} {BODY}", moved
         yield "arm.lengths arm.sensors controller.rate", "experiment replay takes it from the recording"
+        yield "arm.sensed arm.curvature_sensors", "a recording holds poses"
         if not c.controller.adaptive:
             yield (
                 "controller.K controller.null_gain controller.velocity pose_filter integral",

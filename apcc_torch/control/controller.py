@@ -102,6 +102,8 @@ class APCCController(Part):
         self.shape = shape if s.adaptive else None
         if self.shape is not None and any(law.needs_sensitivity for law in self.laws):
             raise ConfigError("a law along the derivative of algorithm 2's q_bar cannot run beside a law of the shape")
+        if self.shape is None and feedback.kinds is not None:
+            feedback.kinds.check_placed()
         self.routing = routing
         self.hold(s)
 
@@ -118,7 +120,7 @@ class APCCController(Part):
         lengths = arm.rest_lengths()
         nominal = lengths if nominal is None else nominal
         backbone = part_of(control.model).on(arm.n_sections, arm.base_rotation(), control.model)
-        feedback = StateFeedback(backbone, arm.sensor_places(), control.feedback)
+        feedback = StateFeedback(backbone, arm.sensor_places(), control.feedback, kinds=arm.sensor_kinds())
         solver = InverseKinematics(control.controller, coordinates=backbone.coordinates, n_sections=backbone.n_sections)
         chosen = control.adaptation
         law = None if chosen is None else part_of(chosen).on(nominal, feedback, chosen)
@@ -189,7 +191,7 @@ class APCCController(Part):
         Raises:
             ShapeError, DtypeError: The arguments do not fit each other.
         """
-        batch = check_step(state, measurement, target, self.feedback.abscissae.shape[-1])
+        batch = check_step(state, measurement, target, self.feedback.abscissae.shape[-1], self.shape)
         pi_hat = state.pi_hat
         dt = (measurement.time - state.time).clamp(0.0, self.integration_limit).to(pi_hat.dtype)
         expected, T = self._filtered(state, measurement, dt)
@@ -202,10 +204,10 @@ class APCCController(Part):
             chain, dq_dpi = self.feedback.chain_and_sensitivity(inference, batch)
         else:
             chain, dq_dpi = self.backbone.chain(q_bar.expand(*batch, q_bar.shape[-1]), pi_hat), None
-        x, tip_seen = measured_tip(measurement, chain.tip, valid)
+        x, tip_seen = measured_tip(measurement, chain.tip, valid, self.feedback.kinds)
         e = target.x_d - x
-        # Where the tip is not measured e is the model's own; without a target or an estimate there is none. It is not
-        # integrated then, and teaches nothing of the model.
+        # Where the tip is not measured e is the model's own; without a target or an estimate there is none. Then it is
+        # not integrated, and teaches nothing.
         e_seen = torch.where((tip_seen & valid & torch.isfinite(e).all(-1)).unsqueeze(-1), e, 0.0)
         integral = state.integral
         if self.integral is not None and integral is not None:
@@ -262,10 +264,9 @@ class APCCController(Part):
         masks = measurement.mask, measurement.angular_mask
         if self.shape is None or state.shape is None:
             return None, self.feedback.infer(state.q_bar, state.pi_hat, T, *masks)
-        y = measurement.tendons
-        if y is None:
-            y = self.tendons(state.q_d, state.pi_hat)
-        return self.shape.infer(self.feedback, state.shape, state.q_bar, state.pi_hat, T, *masks, y, dt)
+        y = self.tendons(state.q_d, state.pi_hat) if measurement.tendons is None else measurement.tendons
+        told = T, *masks, y, dt, measurement.curvature
+        return self.shape.infer(self.feedback, state.shape, state.q_bar, state.pi_hat, *told)
 
     def _filtered(
         self, state: ControllerState, measurement: Measurement, dt: Tensor

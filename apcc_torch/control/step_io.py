@@ -12,14 +12,15 @@ from apcc_torch.control.tasks import TaskTarget
 from apcc_torch.estimation.feedback import Feedback
 from apcc_torch.estimation.pose_filter import PoseFilterState
 from apcc_torch.estimation.savitzky_golay import SavitzkyGolayState
-from apcc_torch.estimation.shape_feedback import FollowedShape
+from apcc_torch.estimation.shape_feedback import FollowedShape, ShapeFeedback
+from apcc_torch.model.sensor_kinds import INERTIAL, SensorKinds
 from apcc_torch.shapes import batch_shape, check_same, check_tensor
 
 
 class Measurement(NamedTuple):
     """One reading of the sensors.
 
-    T: (..., k, 4, 4) sensor poses, world frame, m.
+    T: (..., k, 4, 4) sensor poses, world frame, m; anything, such as NaN, for what a sensor does not measure.
     time: (...) stamp, s.
     mask: (..., k) bool, False for a sensor to leave out; None for all.
     angular_mask: (..., k) bool, False for an orientation to leave out; None for `mask`.
@@ -27,6 +28,8 @@ class Measurement(NamedTuple):
     forces: (..., n_a) tendon forces u at the stamp, N, tension is -u; None where they are not measured.
     tendons: (..., n_a) tendon length changes at the stamp, m, NaN where one is not known; None to take those that the
         last command asked for.
+    curvature: (..., n_c, 2) at the places of `Arm.curvature_sensors`, towards x and y of the axes there, 1/m, NaN where
+        it is not known; None where nothing measures it.
     """
 
     T: Tensor
@@ -36,6 +39,7 @@ class Measurement(NamedTuple):
     tip: Tensor | None = None
     forces: Tensor | None = None
     tendons: Tensor | None = None
+    curvature: Tensor | None = None
 
 
 class Target(NamedTuple):
@@ -102,8 +106,13 @@ class ControllerState(NamedTuple):
     shape: FollowedShape | None = None
 
 
-def check_step(state: ControllerState, measurement: Measurement, target: Target, k: int) -> torch.Size:
-    """The leading shape of a step with k sensors; raises where its arguments do not fit each other."""
+def check_step(
+    state: ControllerState, measurement: Measurement, target: Target, k: int, shape: ShapeFeedback | None = None
+) -> torch.Size:
+    """The leading shape of a step with k sensors, and a shape that may be told curvature; raises where its arguments do
+    not fit each other.
+    """
+    places = None if shape is None else shape.shape.n_curvature
     vectors = {"target.x_d": target.x_d, "target.xdot_d": target.xdot_d}
     if measurement.tip is not None:
         vectors["measurement.tip"] = measurement.tip
@@ -117,13 +126,20 @@ def check_step(state: ControllerState, measurement: Measurement, target: Target,
     for name, mask in {"mask": measurement.mask, "angular_mask": measurement.angular_mask}.items():
         if mask is not None:
             leading[f"measurement.{name}"] = (mask, 1)
+    if measurement.curvature is not None:
+        check_tensor("measurement.curvature", measurement.curvature, (places, 2))
+        leading["measurement.curvature"] = (measurement.curvature, 2)
     return batch_shape(**{"state.q_bar": (state.q_bar, 1), "state.pi_hat": (state.pi_hat, 1), **leading})
 
 
-def measured_tip(measurement: Measurement, x_hat: Tensor, valid: Tensor) -> tuple[Tensor, Tensor]:
+def measured_tip(
+    measurement: Measurement, x_hat: Tensor, valid: Tensor, kinds: SensorKinds | None = None
+) -> tuple[Tensor, Tensor]:
     """The end effector and whether it was measured; the model's where the measurement is masked or not finite, or where
-    the last sensor's pose is of a row that is not valid (...).
+    the last sensor's pose is of a row that is not valid (...), or that sensor measures no position.
     """
+    if kinds is not None and kinds.names[-1] in INERTIAL and measurement.tip is None:
+        return x_hat, torch.zeros_like(valid)
     if measurement.tip is not None:
         x, seen = measurement.tip, torch.isfinite(measurement.tip).all(-1)
     else:

@@ -246,6 +246,8 @@ def _one_arm(told: Arm | str | Path) -> Arm:
     places = (arm.rest_lengths(), arm.sensor_places(), arm.true_sensor_places())
     if any(each.dim() > 1 for each in places) or arm.dynamics().batch_marker.dim():
         raise ConfigError("arm must be one arm: rows of an environment differ by its ranges")
+    if arm.sensor_kinds() is not None or arm.curvature_sensors is not None:
+        raise ConfigError("arm must have sensed and curvature_sensors null: an environment's sensors tell positions")
     return arm
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from enum import IntEnum
 from typing import NamedTuple
 
+import torch
 from torch import Tensor
 
 from apcc_torch.estimation.fit import Problem
@@ -69,3 +70,11 @@ class Inference(NamedTuple):
     feedback: Feedback
     pi_hat: Tensor
     problem: Problem
+
+
+def status_of(like: Tensor, within: Tensor, settled: Tensor, far: Tensor, valid: Tensor) -> Tensor:
+    """(...) `FeedbackStatus`, of the dtype of `like`, of rows that are so."""
+    status = torch.full_like(like, int(FeedbackStatus.ITERATION_LIMIT))
+    status = status.masked_fill(settled, int(FeedbackStatus.SETTLED))
+    status = status.masked_fill(settled & far, int(FeedbackStatus.MISFIT))
+    return status.masked_fill(within, int(FeedbackStatus.CONVERGED)).masked_fill(~valid, int(FeedbackStatus.INVALID))

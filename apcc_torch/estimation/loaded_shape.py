@@ -1,4 +1,4 @@
-"""The arm's shape from poses, tendon lengths and mechanics: what lies between the sensors is what the load makes of it.
+"""The arm's shape from its sensors, tendon lengths and mechanics: what lies between them is what the load makes of it.
 
 The arm is divided finer than the model. Tendons bend and stretch a section evenly; gravity and the load at the tip do
 not. With S spreading a section's strains over its pieces, P = I - S S^+ and K, G of the finer arm, its configuration is
@@ -6,29 +6,34 @@ not. With S spreading a section's strains over its pieces, P = I - S S^+ and K, 
     q_f = S c - P K^-1 (G_0(q_f) + m G_1(q_f)),
 
 c (..., n) the strains of the sections and m the load at the tip, kg: at rest P (K q_f + G) = 0, for tendons pull on
-all pieces of a section alike. (c, m) is the maximum a posteriori of sensor poses, tendon lengths y = B_f^T q_f, a wide
-prior on c, and a load that changes slowly. Before anything is measured, c is that of the arm as it was built, under
+all pieces of a section alike. (c, m) is the maximum a posteriori of what is measured, poses, positions, orientations
+with or without a heading, curvature and tendon lengths y = B_f^T q_f, of a wide prior on c, and of a load that changes
+slowly. Before anything is measured, c is that of the arm as it was built, under
 tensions of which nothing is known: with F = S^T K^-1 B_f, bends scatter as F F^T does. A tendon bends every section
 that it passes, so sections between which no sensor sits bend alike.
 """
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple, Self
+from typing import Any, Self
 
 import torch
 from torch import Tensor
 
 from apcc_torch.errors import ConfigError
+from apcc_torch.estimation.curvature_rows import curvature_rows
+from apcc_torch.estimation.finer_arm import FinerArm
+from apcc_torch.estimation.inertial_rows import inertial_rows
 from apcc_torch.estimation.loaded_shape_settings import LoadedShapeSettings
+from apcc_torch.estimation.pose_rows import pose_rows, tendon_rows
+from apcc_torch.estimation.shape_state import ShapeState
 from apcc_torch.estimation.tension_prior import tension_information
-from apcc_torch.lie import so3
 from apcc_torch.linalg import scaled_within, solve_spd
-from apcc_torch.model.abscissae import located
 from apcc_torch.model.arm import Arm
 from apcc_torch.model.arm_rest import strain_at_rest
+from apcc_torch.model.curvature import curvature_places, curvature_weights
 from apcc_torch.model.dynamics import SoftArmDynamics
-from apcc_torch.model.kinematic_model import Placed
+from apcc_torch.model.sensor_kinds import SensorKinds
 from apcc_torch.model.tendons import TendonRouting
 from apcc_torch.part import Part, hold_rows
 from apcc_torch.settings import Setting, aligned, resolved
@@ -43,24 +48,7 @@ SHORTEST = 0.05
 """Of its rest length, the least that a section, or a piece of one, keeps."""
 
 
-class ShapeState(NamedTuple):
-    """What is known of the arm's shape.
-
-    sections: (..., n) their bends, rad, and lengths, m: c of the module's head, and with it the rest lengths.
-    load: (...) m at the tip, kg. variance: (...) of it, over that of before it is felt.
-    sag: (..., 2, n_f) of the pieces' strains, by the arm's own weight and by each kg at the tip.
-    misfit: (...) how far the sensor that is farthest off was from the shape that the last step began with, over the
-        standard deviation, squared.
-    """
-
-    sections: Tensor
-    load: Tensor
-    variance: Tensor
-    sag: Tensor
-    misfit: Tensor
-
-
-class LoadedShape(Part):
+class LoadedShape(FinerArm, Part):
     """Estimates an arm's shape under an unknown load; see the module's head.
 
     One Gauss-Newton step a sample: the state is the seed of the next. Directions that neither sensors nor tendons tell
@@ -72,6 +60,8 @@ class LoadedShape(Part):
         abscissae: (..., k) of the sensors, m.
         *settings, **changes: See `LoadedShapeSettings`.
         rest: (..., n) strains of the sections before anything is measured, rad and m; None for those of a straight arm.
+        kinds: What the sensors measure; None for poses.
+        curvature_places: (..., n_c) abscissae where curvature is measured, m; None for nowhere.
 
     Raises:
         ConfigError: The number of the arm's pieces is no multiple of `refine`.
@@ -86,19 +76,22 @@ class LoadedShape(Part):
     """
 
     settings_type = LoadedShapeSettings
-    abscissae: Tensor
     B: Tensor
     rest: Tensor
     information: Tensor
+    curvature_weights: Tensor | None
     position_noise: Setting
     angular_noise: Setting
     tendon_noise: Setting
+    tilt_noise: Setting
+    heading_noise: Setting
+    heading_drift: Setting
+    curvature_noise: Setting
     bend: Setting
     elongation: Setting
     load: Setting
     load_rate: Setting
     sag_time: Setting
-    refine: int
 
     def __init__(
         self,
@@ -107,6 +100,8 @@ class LoadedShape(Part):
         abscissae: Tensor,
         *settings: Any,
         rest: Tensor | None = None,
+        kinds: SensorKinds | None = None,
+        curvature_places: Tensor | None = None,
         **changes: Any,
     ) -> None:
         super().__init__()
@@ -121,14 +116,30 @@ class LoadedShape(Part):
             rest = torch.zeros_like(B[..., : 3 * self.n_sections, 0])
         check_tensor("rest", rest, (3 * self.n_sections,))
         information = tension_information(B, dynamics.stiffness_diagonal.to(B), s.refine)
+        self.kinds = kinds
+        places = None if curvature_places is None else curvature_places.to(dynamics.lengths)
+        weights = None if places is None else curvature_weights(dynamics.lengths, s.refine, places)
         hold_rows(self, abscissae=(abscissae, 1), B=(B, 2), rest=(rest, 1), information=(information, 2))
+        hold_rows(self, curvature_weights=(weights, 2))
         self.hold(s)
 
     @classmethod
     def on(cls, arm: Arm, settings: LoadedShapeSettings) -> Self:
         """The estimator of an arm as it is believed to be."""
-        rest = strain_at_rest(arm)
-        return cls(arm.dynamics(settings.refine), arm.routing(), arm.sensor_places(), settings, rest=rest)
+        return cls(
+            arm.dynamics(settings.refine),
+            arm.routing(),
+            arm.sensor_places(),
+            settings,
+            rest=strain_at_rest(arm),
+            kinds=arm.sensor_kinds(),
+            curvature_places=curvature_places(arm),
+        )
+
+    @property
+    def n_curvature(self) -> int | None:
+        """Places where curvature is measured; None where it is not."""
+        return None if self.curvature_weights is None else self.curvature_weights.shape[-2]
 
     def initial_state(self, sections: Tensor) -> ShapeState:
         """Sections of which nothing more is known yet.
@@ -137,9 +148,8 @@ class LoadedShape(Part):
             sections: (..., n) their bends, rad, and lengths, m, in the order of a `PCCBackbone`'s q.
         """
         load, none = torch.zeros_like(sections[..., 0]), torch.zeros_like(self._spread(sections))
-        return ShapeState(
-            sections, load, torch.ones_like(load), torch.stack((none, none), dim=-2), torch.zeros_like(load)
-        )
+        sag, still = torch.stack((none, none), dim=-2), torch.zeros_like(load)
+        return ShapeState(sections, load, torch.ones_like(load), sag, still, still)
 
     def strain(self, state: ShapeState) -> Tensor:
         """c (..., n): bends, rad, and elongations, m, of the sections."""
@@ -160,7 +170,14 @@ class LoadedShape(Part):
         return self.configuration(after) - self.configuration(before)
 
     def forward(
-        self, state: ShapeState, T: Tensor, usable: Tensor, oriented: Tensor, y: Tensor | None, dt: Tensor
+        self,
+        state: ShapeState,
+        T: Tensor,
+        usable: Tensor,
+        oriented: Tensor,
+        y: Tensor | None,
+        dt: Tensor,
+        curvature: Tensor | None = None,
     ) -> ShapeState:
         """One step; unchecked, of one leading shape.
 
@@ -170,9 +187,10 @@ class LoadedShape(Part):
             usable, oriented: (..., k) bool, positions and orientations that count.
             y: (..., n_a) tendon length changes, m, not finite where unknown; None where none is known.
             dt: (...) s since the last step.
+            curvature: (..., n_c, 2) measured, 1/m, not finite where unknown; None where none is known.
         """
-        sag = self._renewed(state, dt)
-        H, slope, prior, misfit = self._weighed(state._replace(sag=sag), T, usable, oriented, y, dt)
+        now = self._begun(state, dt)
+        H, slope, prior, misfit = self._weighed(now, T, usable, oriented, y, dt, curvature)
         last = torch.cat((torch.zeros_like(slope[..., :-1]), torch.ones_like(slope[..., -1:])), dim=-1)
         solved = solve_spd(H, torch.stack((slope, last), dim=-1))
         step = solved[..., 0]
@@ -181,8 +199,9 @@ class LoadedShape(Part):
             self._longer_than(state.sections + step[..., :-1], SHORTEST * self._lengths(state.sections)),
             (state.load + step[..., -1]).clamp(min=0.0),
             solved[..., -1, 1] / prior,
-            sag,
+            now.sag,
             misfit,
+            now.age,
         )
         finite = torch.isfinite(step).all(-1)
         return ShapeState(
@@ -193,13 +212,20 @@ class LoadedShape(Part):
         )
 
     def covariance(
-        self, state: ShapeState, T: Tensor, usable: Tensor, oriented: Tensor, y: Tensor | None, dt: Tensor
+        self,
+        state: ShapeState,
+        T: Tensor,
+        usable: Tensor,
+        oriented: Tensor,
+        y: Tensor | None,
+        dt: Tensor,
+        curvature: Tensor | None = None,
     ) -> Tensor:
         """Covariance (..., n + 1, n + 1) of the strains and the load that a step with these arguments finds.
 
         It is that of the measurements' noise and the priors as they are set: rad, m and kg.
         """
-        H = self._weighed(state._replace(sag=self._renewed(state, dt)), T, usable, oriented, y, dt)[0]
+        H = self._weighed(self._begun(state, dt), T, usable, oriented, y, dt, curvature)[0]
         return solve_spd(H, torch.eye(H.shape[-1], dtype=H.dtype, device=H.device).expand_as(H))
 
     def point_covariance(self, state: ShapeState, covariance: Tensor, X: Tensor) -> Tensor:
@@ -216,10 +242,17 @@ class LoadedShape(Part):
         return move @ covariance.unsqueeze(-3) @ move.mT
 
     def _weighed(
-        self, state: ShapeState, T: Tensor, usable: Tensor, oriented: Tensor, y: Tensor | None, dt: Tensor
+        self,
+        state: ShapeState,
+        T: Tensor,
+        usable: Tensor,
+        oriented: Tensor,
+        y: Tensor | None,
+        dt: Tensor,
+        curvature: Tensor | None,
     ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """Information (..., n + 1, n + 1), it times their change, the load's first variance, and the `misfit`."""
-        r, J = self._residual(state, T, usable, oriented, y)
+        r, J = self._residual(state, T, usable, oriented, y, curvature)
         prior = (aligned(self.load, 0) * self._mass(r)).square()
         walked = (state.variance + (aligned(self.load_rate, 0) / aligned(self.load, 0)) ** 2 * dt).clamp(max=1.0)
         strain = self.strain(state)
@@ -229,29 +262,17 @@ class LoadedShape(Part):
         slope = (J.mT @ r.unsqueeze(-1)).squeeze(-1) - torch.nn.functional.pad(away, (0, 1))
         H = J.mT @ J + torch.nn.functional.pad(known, (0, 1, 0, 1))
         load = torch.nn.functional.pad((walked * prior).reciprocal().unsqueeze(-1), (slope.shape[-1] - 1, 0))
-        misfit = r[..., : 6 * T.shape[-3]].unflatten(-1, (-1, 3)).square().sum(-1).amax(-1)
+        told = 6 * T.shape[-3] + (0 if self.kinds is None else 3 * len(self.kinds.inertial))
+        misfit = r[..., :told].unflatten(-1, (-1, 3)).square().sum(-1).amax(-1)
         return H + torch.diag_embed(load), slope, prior, misfit
 
     def _moved(self, body: Tensor, state: ShapeState) -> Tensor:
-        """A body Jacobian (..., k, 6, n_f) by the strains and the load (..., k, 6, n + 1)."""
+        """A Jacobian (..., k, r, n_f) by the strains and the load (..., k, r, n + 1)."""
         return torch.cat((self._gathered(body), body @ state.sag[..., None, 1, :, None]), dim=-1)
 
-    def _spread(self, strain: Tensor) -> Tensor:
-        """S c: each piece takes an equal part of its section's strain (..., n_f)."""
-        return (
-            (strain.unflatten(-1, (-1, 1, 3)) / self.refine).expand(*strain.shape[:-1], -1, self.refine, 3).flatten(-3)
-        )
-
-    def _gathered(self, J: Tensor) -> Tensor:
-        """J S (..., n) of J (..., n_f)."""
-        return J.unflatten(-1, (-1, self.refine, 3)).mean(-2).flatten(-2)
-
-    def _lengths(self, like: Tensor) -> Tensor:
-        """(..., n_b) rest lengths of the sections, m."""
-        return self.dynamics.lengths.to(like).unflatten(-1, (-1, self.refine)).sum(-1)
-
-    def _mass(self, like: Tensor) -> Tensor:
-        return self.dynamics.masses.to(like).sum(-1)
+    def _begun(self, state: ShapeState, dt: Tensor) -> ShapeState:
+        """The state as a step begins with it: its sag renewed, and older by dt (...), s."""
+        return state._replace(sag=self._renewed(state, dt), age=state.age + dt)
 
     def _deviation(self, strain: Tensor) -> Tensor:
         """(..., n) of a section's strain before it is measured."""
@@ -277,54 +298,32 @@ class LoadedShape(Part):
         return state.sag + share[..., None, None] * (own - state.sag)
 
     def _residual(
-        self, state: ShapeState, T: Tensor, usable: Tensor, oriented: Tensor, y: Tensor | None
+        self,
+        state: ShapeState,
+        T: Tensor,
+        usable: Tensor,
+        oriented: Tensor,
+        y: Tensor | None,
+        curvature: Tensor | None = None,
     ) -> tuple[Tensor, Tensor]:
         """What the measurements leave (..., m), over its standard deviation, and its derivative (..., m, n + 1)."""
         q = self.configuration(state)
-        chain = self.chain_at(q, self.abscissae)
-        into_body = chain.rotation.mT
-        offset = torch.where(usable.unsqueeze(-1), T[..., :3, 3] - chain.tip, 0.0)
-        turn = into_body @ torch.where(oriented[..., None, None], T[..., :3, :3], chain.rotation)
-        linear, angular = (into_body @ offset.unsqueeze(-1)).squeeze(-1), so3.log(turn)
-        body = self._moved(chain.body_jacobian(), state)
-        weights = torch.broadcast_tensors(
-            oriented.to(q) / aligned(self.angular_noise, 1), usable.to(q) / aligned(self.position_noise, 1)
-        )
-        weight = torch.stack(weights, dim=-1).unsqueeze(-1).expand(*usable.shape, 2, 3).flatten(-2)
-        r = (torch.cat((angular, linear), dim=-1) * weight).flatten(-2)
-        J = (body * weight.unsqueeze(-1)).flatten(-3, -2)
-        if y is None:
-            return r, J
-        B = self.B.to(q)
-        off = y - (B.mT @ q.unsqueeze(-1)).squeeze(-1)
-        known = torch.isfinite(off)
-        scale = known.to(q) / aligned(self.tendon_noise, 1)
-        each = B.mT @ state.sag[..., 1, :, None]
-        row = torch.cat((self._gathered(B.mT).expand(*each.shape[:-1], -1), each), dim=-1)
-        return (
-            torch.cat((r, torch.where(known, off, 0.0) * scale), dim=-1),
-            torch.cat((J, row * scale.unsqueeze(-1)), dim=-2),
-        )
-
-    def pieces(self, q: Tensor) -> Tensor:
-        """(..., n_p) rest lengths of the arm's pieces, m, of the leading shape of q."""
-        lengths = self.dynamics.lengths.to(q)
-        return lengths.expand(*q.shape[:-1], lengths.shape[-1])
-
-    def chain_at(self, q: Tensor, X: Tensor) -> Placed:
-        """The arm at q (..., n_f) up to abscissae X (..., k) on the arm at rest, m."""
-        return self.backbone.chain_to(q, self.backbone.material_points(self.pieces(q), *self._located(q, X)))
-
-    def sensors_at(self, q: Tensor) -> tuple[Tensor, Tensor]:
-        """Normalised abscissa and piece (..., k) of the sensors, of the leading shape of q."""
-        return self._located(q, self.abscissae)
-
-    def _located(self, q: Tensor, X: Tensor) -> tuple[Tensor, Tensor]:
-        return located(X.to(q).expand(*q.shape[:-1], X.shape[-1]), self.pieces(q))
-
-    def share(self, q: Tensor, X_tilde: Tensor, piece: Tensor) -> Tensor:
-        """How far along the arm material points (..., k) of its pieces lie, over its length, at q (..., n_f)."""
-        lengths = self.backbone.section_lengths(q, self.pieces(q))
-        ends = lengths.cumsum(-1)
-        along = torch.gather(ends - lengths, -1, piece) + X_tilde * torch.gather(lengths, -1, piece)
-        return along / ends[..., -1:]
+        chain, units = self.chain_at(q, self.abscissae), () if self.kinds is None else self.kinds.inertial
+        body, firm = self._moved(chain.body_jacobian(), state), oriented
+        if self.kinds is not None and units:
+            firm = oriented & ~self.kinds.drifting.to(oriented.device)
+        rows = [pose_rows(chain, body, T, usable, firm, self.position_noise, self.angular_noise)]
+        if self.kinds is not None and units:
+            drift = aligned(self.heading_noise, 0) ** 2 + aligned(self.heading_drift, 0) ** 2 * state.age
+            R, counts, headed = chain.rotation[..., units, :, :], oriented[..., units], self.kinds.headed.to(q)
+            measured = torch.where(counts[..., None, None], T[..., units, :3, :3], R)
+            r, W = inertial_rows(R, measured, counts, headed, self.tilt_noise, drift)
+            rows.append((r.flatten(-2), (W @ body[..., units, :3, :]).flatten(-3, -2)))
+        if y is not None:
+            r, J = tendon_rows(q, self.B.to(q), y, self.tendon_noise)
+            rows.append((r, self._moved(J.unsqueeze(-3), state).squeeze(-3)))
+        if curvature is not None and self.curvature_weights is not None:
+            weights = self.curvature_weights.to(q)
+            r, J = curvature_rows(q, self.pieces(q), weights, curvature, self.curvature_noise)
+            rows.append((r, self._moved(J.unsqueeze(-3), state).squeeze(-3)))
+        return torch.cat([r for r, _ in rows], dim=-1), torch.cat([J for _, J in rows], dim=-2)

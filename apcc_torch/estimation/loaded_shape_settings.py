@@ -18,6 +18,18 @@ class LoadedShapeSettings(Settings):
     tendon_noise: Setting = setting(
         2e-3, "m", OURS, "of a tendon's length change, with slack and compliance", rows="number", above=0
     )
+    tilt_noise: Setting = setting(
+        0.02, "rad", OURS, "of an inertial unit's tilt, with how it is mounted", rows="number", above=0
+    )
+    heading_noise: Setting = setting(
+        0.3, "rad", OURS, "of an inertial unit's heading when the arm begins", rows="number", least=0
+    )
+    heading_drift: Setting = setting(
+        0.01, "rad/sqrt(s)", OURS, "how fast that heading goes astray, a random walk", rows="number", least=0
+    )
+    curvature_noise: Setting = setting(
+        0.2, "1/m", OURS, "of a measured curvature, and of what mechanics leaves unexplained", rows="number", above=0
+    )
     bend: Setting = setting(
         3.0,
         "rad",

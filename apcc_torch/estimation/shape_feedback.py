@@ -9,9 +9,11 @@ import torch
 from torch import Tensor
 
 from apcc_torch.estimation.arc_fit import ArcFit, ArcFitSettings
+from apcc_torch.estimation.counted import counted
 from apcc_torch.estimation.feedback import Inference
-from apcc_torch.estimation.loaded_shape import LoadedShape, ShapeState
+from apcc_torch.estimation.loaded_shape import LoadedShape
 from apcc_torch.estimation.loaded_shape_settings import LoadedShapeSettings
+from apcc_torch.estimation.shape_state import ShapeState
 from apcc_torch.estimation.state_feedback import StateFeedback
 from apcc_torch.lie import se3
 from apcc_torch.model.abscissae import MaterialPoints, located
@@ -89,6 +91,7 @@ class ShapeFeedback(Part):
         oriented: Tensor,
         y: Tensor | None,
         dt: Tensor,
+        curvature: Tensor | None = None,
     ) -> tuple[FollowedShape, Tensor]:
         """One step; unchecked, of one leading shape.
 
@@ -96,12 +99,12 @@ class ShapeFeedback(Part):
             state: From `initial_state` or the last step.
             q_bar: (..., n) the last one.
             pi_hat: (..., n_b) rest lengths now, m.
-            T, usable, oriented, y, dt: As `LoadedShape.forward` has them.
+            T, usable, oriented, y, dt, curvature: As `LoadedShape.forward` has them.
 
         Returns:
             The next state, and q_bar (..., n).
         """
-        shape = self.shape(state.shape, T, usable, oriented, y, dt)
+        shape = self.shape(state.shape, T, usable, oriented, y, dt, curvature)
         points, share = self.curve(shape)
         q_bar = self.fit(self._seed(q_bar, state, pi_hat), pi_hat, points, share)
         return FollowedShape(shape, pi_hat + q_bar[..., self.fit.backbone.coordinates.elongations]), q_bar
@@ -124,27 +127,54 @@ class ShapeFeedback(Part):
         angular_mask: Tensor | None,
         y: Tensor | None,
         dt: Tensor,
+        curvature: Tensor | None = None,
     ) -> tuple[FollowedShape, Inference]:
         """`forward` with what algorithm 2 takes, and what the sensors say of its q_bar; unchecked.
 
         Args:
             feedback: Says which sensors count, and judges.
-            state, q_bar, pi_hat, y, dt: As `forward` has them.
+            state, q_bar, pi_hat, y, dt, curvature: As `forward` has them.
             T, mask, angular_mask: As `StateFeedback.infer` has them.
         """
         pi_hat, problem = feedback.problem(q_bar.shape[:-1], pi_hat, T, mask, angular_mask)
         batch = pi_hat.shape[:-1]
         q_bar = q_bar.expand(*batch, q_bar.shape[-1])
         y = None if y is None else y.expand(*batch, y.shape[-1])
-        T = se3.pose(problem.rotation, problem.position)
+        if curvature is not None:
+            curvature = curvature.expand(*batch, *curvature.shape[-2:])
         oriented = torch.zeros_like(problem.oriented) if feedback.mode == "position" else problem.oriented
-        later, found = self(state, q_bar, pi_hat, T, problem.usable, oriented, y, dt.expand(batch))
+        rotation, oriented, told = self._inertial(T, mask, angular_mask, problem.rotation, oriented, curvature)
+        seen = se3.pose(rotation, problem.position)
+        later, found = self(state, q_bar, pi_hat, seen, problem.usable, oriented, y, dt.expand(batch), curvature)
         problem = problem._replace(points=self.sensors_on(later.shape, found, pi_hat))
         step = torch.cat(
             (found - self._seed(q_bar, state, pi_hat), self.shape.change(state.shape, later.shape)), dim=-1
         )
         misfit = later.shape.misfit > MISFIT**2
-        return later, feedback.judged(found, pi_hat, problem, step.abs().amax(-1), misfit)
+        return later, feedback.judged(found, pi_hat, problem, step.abs().amax(-1), misfit, told)
+
+    def _inertial(
+        self,
+        T: Tensor,
+        mask: Tensor | None,
+        angular_mask: Tensor | None,
+        rotation: Tensor,
+        oriented: Tensor,
+        curvature: Tensor | None,
+    ) -> tuple[Tensor, Tensor, Tensor | None]:
+        """Rotations (..., k, 3, 3) and which of them count, with those of inertial units, and rows (...) that are told
+        of by what algorithm 2 does not take; None where there is nothing of that.
+        """
+        kinds, told = self.shape.kinds, None
+        if kinds is not None and kinds.inertial:
+            turned = counted(T, kinds, mask, angular_mask)[1] & kinds.drifting.to(T.device)
+            turned = turned.expand(oriented.shape)
+            rotation = torch.where(turned[..., None, None], T[..., :3, :3], rotation)
+            oriented, told = oriented | turned, turned.any(-1)
+        if curvature is not None:
+            known = torch.isfinite(curvature).flatten(-2).any(-1)
+            told = known if told is None else told | known
+        return rotation, oriented, told
 
     def _seed(self, q_bar: Tensor, state: FollowedShape, pi_hat: Tensor) -> Tensor:
         """The last q_bar (..., n) with its sections as long as they were: rest lengths may have moved since."""

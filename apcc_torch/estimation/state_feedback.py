@@ -7,8 +7,9 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from apcc_torch.errors import DtypeError, ShapeError, ValueRangeError
-from apcc_torch.estimation.feedback import Feedback, FeedbackStatus, Inference
+from apcc_torch.errors import ValueRangeError
+from apcc_torch.estimation.counted import check_mask, counted
+from apcc_torch.estimation.feedback import Feedback, Inference, status_of
 from apcc_torch.estimation.fit import Problem, evaluate
 from apcc_torch.estimation.fixed_point import fixed_point_slope
 from apcc_torch.estimation.implicit import attached
@@ -16,9 +17,9 @@ from apcc_torch.estimation.iteration import Rules, far_off, iterate, unseen
 from apcc_torch.estimation.state_feedback_settings import StateFeedbackSettings
 from apcc_torch.estimation.step import row_weights
 from apcc_torch.lie import se3
-from apcc_torch.lie.rotations import is_rotation
 from apcc_torch.model.abscissae import located
 from apcc_torch.model.kinematic_model import KinematicModel, Placed
+from apcc_torch.model.sensor_kinds import SensorKinds
 from apcc_torch.modes import holds
 from apcc_torch.part import Part, hold_rows
 from apcc_torch.settings import Setting, aligned, resolved
@@ -55,6 +56,8 @@ class StateFeedback(Part):
         backbone: The model.
         abscissae: (..., k) material abscissae of the sensors, m, increasing, S_s of Eq. (22).
         *settings, **changes: See `StateFeedbackSettings`.
+        kinds: What the sensors measure; None for poses. Positions count, and the orientations of poses: one from an
+            inertial unit does not, for nothing here knows how its heading drifts.
 
     Raises:
         ValueRangeError: The sensor set is empty, not sorted or negative, or a setting is out of range.
@@ -83,7 +86,14 @@ class StateFeedback(Part):
     damping: Setting
     settled_step: Setting
 
-    def __init__(self, backbone: KinematicModel, abscissae: Tensor, *settings: Any, **changes: Any) -> None:
+    def __init__(
+        self,
+        backbone: KinematicModel,
+        abscissae: Tensor,
+        *settings: Any,
+        kinds: SensorKinds | None = None,
+        **changes: Any,
+    ) -> None:
         super().__init__()
         check_tensor("abscissae", abscissae, (None,))
         check_finite("abscissae", abscissae)
@@ -92,6 +102,7 @@ class StateFeedback(Part):
         if not (holds(abscissae.diff(dim=-1) > 0) and holds(abscissae >= 0)):
             raise ValueRangeError(f"abscissae must be increasing and not negative, got {abscissae.tolist()}")
         self.backbone = backbone
+        self.kinds = kinds
         self.hold(resolved(StateFeedbackSettings, settings, changes))
         hold_rows(self, abscissae=(abscissae, 1))
 
@@ -123,7 +134,7 @@ class StateFeedback(Part):
         leading = {"q_seed": (q_seed, 1), "pi_hat": (pi_hat, 1), "T": (T, 3)}
         for name, given in {"mask": mask, "angular_mask": angular_mask}.items():
             if given is not None:
-                leading[name] = (_check_mask(name, given, k), 1)
+                leading[name] = (check_mask(name, given, k), 1)
         batch_shape(**leading)
         return self.infer(q_seed, pi_hat, T, mask, angular_mask).feedback
 
@@ -150,6 +161,7 @@ class StateFeedback(Part):
     ) -> tuple[Tensor, Problem]:
         """pi_hat and what is to be fitted, both of the leading shape that `batch` has with the arguments of `infer`."""
         usable, oriented = self.used(T, mask, angular_mask)
+        T = T if self.kinds is None else self.kinds.filled(T)
         others = pi_hat.shape[:-1], oriented.shape[:-1]
         if any(shape != batch for shape in others):
             batch = torch.broadcast_shapes(batch, *others)
@@ -157,37 +169,39 @@ class StateFeedback(Part):
         lengths = (pi_hat > 0.0).all(-1, keepdim=True)  # of no length there is nothing to bend
         return pi_hat, self._problem(pi_hat, T, usable & lengths, oriented & lengths)
 
-    def judged(self, q_bar: Tensor, pi_hat: Tensor, problem: Problem, step: Tensor, misfit: Tensor) -> Inference:
+    def judged(
+        self,
+        q_bar: Tensor,
+        pi_hat: Tensor,
+        problem: Problem,
+        step: Tensor,
+        misfit: Tensor,
+        told: Tensor | None = None,
+    ) -> Inference:
         """What the sensors say of a q_bar (..., n) from elsewhere, of which one step was taken.
 
         Args:
             q_bar, pi_hat, problem: As they are now.
             step: (...) the largest part of that step, rad and m: with one that is not negligible a row has not settled.
             misfit: (...) bool, rows that are a MISFIT where they settle.
+            told: (...) bool, rows of which a sensor tells that does not count here; None for none.
         """
         fit = evaluate(self.backbone, self.mode, q_bar, problem)
         angular, linear = fit.errors()
         within = (linear < aligned(self.linear_threshold, 1)) & (angular < aligned(self.angular_threshold, 1))
-        valid = problem.usable.any(-1) & torch.isfinite(q_bar).all(-1)
+        seen = problem.usable.any(-1) if told is None else problem.usable.any(-1) | told
+        valid = seen & torch.isfinite(q_bar).all(-1)
         settled, iterations = step < self.settled_step, torch.ones_like(valid, dtype=torch.int64)
-        status = _status(iterations, within.all(-1), settled, far_off(fit, problem) | misfit, valid)
+        status = status_of(iterations, within.all(-1), settled, far_off(fit, problem) | misfit, valid)
         return Inference(Feedback(q_bar, angular, linear, iterations, status), pi_hat, problem)
 
     def used(self, T: Tensor, mask: Tensor | None = None, angular_mask: Tensor | None = None) -> tuple[Tensor, Tensor]:
-        """Which sensors, and which orientations, count: two bool (..., k). Arguments as `forward`.
+        """Which sensors, and which orientations, count here: two bool (..., k). Arguments as `forward`.
 
         None of a row counts in which one that does is no pose: what else such a source says is as wrong.
         """
-        usable = torch.isfinite(T).flatten(-2).all(-1)
-        if mask is not None:
-            usable = usable & _check_mask("mask", mask, usable.shape[-1])
-        oriented = usable
-        if angular_mask is not None:
-            oriented = usable & _check_mask("angular_mask", angular_mask, usable.shape[-1])
-        last = (T[..., 3, :3] == 0.0).all(-1) & (T[..., 3, 3] == 1.0)
-        wrong = (usable & ~last) | (oriented & ~is_rotation(T[..., :3, :3]))
-        right = ~wrong.any(-1, keepdim=True)
-        return usable & right, oriented & right
+        usable, oriented = counted(T, self.kinds, mask, angular_mask)
+        return usable, oriented if self.kinds is None else oriented & usable
 
     def _problem(self, pi_hat: Tensor, T: Tensor, usable: Tensor, oriented: Tensor) -> Problem:
         # What is left out is measured where the model has it: it pulls nowhere, and nothing non-finite enters.
@@ -229,7 +243,7 @@ class StateFeedback(Part):
         else:
             outcome = iterate(self.backbone, self._rules(), q_seed, problem, lowest)
         fit, within, settled, valid, iterations = outcome
-        status = _status(iterations, within, settled, far_off(fit, problem), valid)
+        status = status_of(iterations, within, settled, far_off(fit, problem), valid)
         q_bar = torch.where(valid.unsqueeze(-1), fit.q, q_seed)
         return Feedback(q_bar, *fit.errors(), iterations, status)
 
@@ -266,7 +280,7 @@ class StateFeedback(Part):
         leading = {"q_bar": (q_bar, 1), "pi_hat": (pi_hat, 1), "abscissae": (self.abscissae, 1)}
         for name, given in {"mask": mask, "angular_mask": angular_mask}.items():
             if given is not None:
-                leading[name] = (_check_mask(name, given, k), 1)
+                leading[name] = (check_mask(name, given, k), 1)
         if T is not None:
             leading["T"] = (check_tensor("T", T, (k, 4, 4)), 3)
         batch = batch_shape(**leading)
@@ -311,19 +325,3 @@ class StateFeedback(Part):
         chain = self.backbone.chain_to(q.double(), problem.points)
         X = self._abscissae(chain.tip)
         return fixed_point_slope(self.backbone, self.mode, q.double(), pi.double(), X, problem, chain).to(q.dtype)
-
-
-def _status(like: Tensor, within: Tensor, settled: Tensor, far: Tensor, valid: Tensor) -> Tensor:
-    """(...) `FeedbackStatus`, of the dtype of `like`, of rows that are so."""
-    status = torch.full_like(like, int(FeedbackStatus.ITERATION_LIMIT))
-    status = status.masked_fill(settled, int(FeedbackStatus.SETTLED))
-    status = status.masked_fill(settled & far, int(FeedbackStatus.MISFIT))
-    return status.masked_fill(within, int(FeedbackStatus.CONVERGED)).masked_fill(~valid, int(FeedbackStatus.INVALID))
-
-
-def _check_mask(name: str, mask: Tensor, k: int) -> Tensor:
-    if mask.dtype != torch.bool:
-        raise DtypeError(f"{name} must be torch.bool, got {mask.dtype}")
-    if mask.shape[-1:] != (k,):
-        raise ShapeError(f"{name} must have shape (..., {k}), got {tuple(mask.shape)}")
-    return mask

@@ -6,7 +6,8 @@ import torch
 from torch import Tensor
 
 from apcc_torch.control.shape_law import ShapeLawSettings
-from apcc_torch.estimation.loaded_shape import LoadedShape, ShapeState
+from apcc_torch.estimation.loaded_shape import LoadedShape
+from apcc_torch.estimation.shape_state import ShapeState
 from apcc_torch.evaluation.arm_methods import identified
 from apcc_torch.evaluation.frames import Frames
 from apcc_torch.evaluation.method import Method

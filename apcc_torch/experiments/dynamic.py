@@ -97,6 +97,7 @@ def simulate(
             generator,
             progress or progress_bar(label, config.progress),
             build.true_sensors_at(),
+            build.curvature_places(),
         )
     return Outcome(log, _arms_of(build, controller, plant))
 

@@ -145,6 +145,7 @@ def simulate(config: SimulateSettings, points: int | None = None, progress: Prog
             simulate_feedback,
             sensors=build.pose_sensors(),
             generator=torch.Generator(build.device).manual_seed(config.seed),
+            curvature_places=build.curvature_places(),
         )
     )
     with torch.inference_mode():

@@ -63,7 +63,8 @@ def run(config: SimulateSettings, folder: Path) -> dict[str, float]:
     )
     lengths = [float(v) for v in calibration.rest_lengths]
     abscissae = [float(v) for v in calibration.abscissae]
-    arm = config.arm.changed(lengths=lengths, sensors=abscissae, racks=abscissae)
+    poses = {"sensed": None, "curvature_sensors": None}  # a recording holds no other kind
+    arm = config.arm.changed(lengths=lengths, sensors=abscissae, racks=abscissae, **poses)
     build = Builder(config.changed(arm=arm))
     controller = build.controller()
     gate = SensorGate(calibration.abscissae, r.gate)

@@ -13,22 +13,23 @@ import yaml
 from torch import Tensor
 
 from apcc_torch.annotations import numbers_in
-from apcc_torch.conf_path import conf_path
 from apcc_torch.errors import ApccError, Checks, ConfigError, DataError, ValueRangeError, begun_with
 from apcc_torch.files import json_in, read_text, write_atomically, yaml_in
 from apcc_torch.lie import so3
+from apcc_torch.model.arm_path import arm_path
 from apcc_torch.model.arm_placement import Placement
 from apcc_torch.model.arm_tendons import Actuation, Tendons
 from apcc_torch.model.backbone import HANGING, PCCBackbone
 from apcc_torch.model.dynamics import SoftArmDynamics
 from apcc_torch.model.kinematic_model import KinematicModel
 from apcc_torch.model.places import check_places
+from apcc_torch.model.sensor_kinds import SensorKinds, sensor_kinds
 from apcc_torch.model.stiffness import scaled_stiffness
 from apcc_torch.model.table import Table, table
 from apcc_torch.model.tendons import TendonRouting, rack_routing
 from apcc_torch.modes import holds
 from apcc_torch.reading import deviations, read
-from apcc_torch.settings import OURS, PAPER, TURN, Setting, Settings, aligned, did_you_mean, setting
+from apcc_torch.settings import OURS, PAPER, TURN, Setting, Settings, aligned, setting
 from apcc_torch.spread import Numbers, spread
 
 STANDING = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
@@ -62,6 +63,12 @@ class Arm(Settings):
     )
     true_sensors: Lengths | None = setting(
         None, "m", OURS, "where a plant's sensors really are; null: as believed", rows="sections", above=0
+    )
+    sensed: tuple[str, ...] | None = setting(
+        None, "", OURS, "what each sensor measures: pose, position, orientation or tilt; null: poses"
+    )
+    curvature_sensors: Lengths | None = setting(
+        None, "m", OURS, "abscissae where curvature is measured; null: nowhere", rows="sections", above=0
     )
     mounts: Table | None = setting(
         None, "m", OURS, "from the backbone to each sensed body, (x, y, z) in the axes there; null: none"
@@ -127,16 +134,16 @@ class Arm(Settings):
         """Raises where entries differ in number, abscissae do not increase or lie beyond the arm, or none are there."""
         if not self.name.isprintable() or "/" in self.name or "${" in self.name:
             raise ConfigError(f"name must be printable, without / and ${{: runs are called by it, got {self.name!r}")
-        lengths = self.rest_lengths()
-        n_b = lengths.shape[-1]
+        lengths, n_b = self.rest_lengths(), self.n_sections
         if not n_b:
             raise ConfigError("lengths must name at least one section")
         end = lengths.sum(-1, keepdim=True) * (1.0 + 1e-6)
         checks = Checks()
-        for name in ("sensors", "true_sensors", "racks"):
+        for name in ("sensors", "true_sensors", "curvature_sensors", "racks"):
             with checks.one():
                 check_places(name, getattr(self, name), end)
         with checks.one():
+            self.sensor_kinds()
             if self.true_sensors is not None and vector(self.true_sensors).shape[-1] != self.sensor_places().shape[-1]:
                 raise ConfigError("true_sensors must have as many entries as sensors")
         for name in ("masses", "axial_rigidity", "bending_rigidity"):
@@ -184,6 +191,10 @@ class Arm(Settings):
     def true_sensor_places(self) -> Tensor:
         """(..., k) abscissae at which they are, m."""
         return self.sensor_places() if self.true_sensors is None else vector(self.true_sensors)
+
+    def sensor_kinds(self) -> SensorKinds | None:
+        """What its sensors measure; None where all measure poses."""
+        return sensor_kinds(self.sensed, self.sensor_places().shape[-1])
 
     def placed_rotation(self) -> Tensor:
         """(3, 3) axes of the base in a recording's frame, as columns."""
@@ -260,7 +271,7 @@ class Arm(Settings):
             DataError: The file cannot be read.
             ConfigError, ValueRangeError: There is no arm of that name, a key is unknown, or a value out of range.
         """
-        path = _file_of(path)
+        path = arm_path(path)
         try:
             values = (json_in if path.suffix == ".json" else yaml_in)(read_text(path), path.name)
         except DataError as error:
@@ -286,17 +297,6 @@ class Arm(Settings):
         """
         text = yaml.safe_dump(self.entries(), sort_keys=False, default_flow_style=None, width=120)
         write_atomically(path, "".join(f"# {line}\n" for line in comment.splitlines()) + text)
-
-
-def _file_of(path: str | Path) -> Path:
-    """The file of an arm: what has neither folder nor suffix is a name in conf/arm."""
-    path = Path(path)
-    if path.suffix or len(path.parts) != 1:
-        return path
-    files = {file.stem: file for file in sorted(Path(conf_path(), "arm").glob("*.yaml"))}
-    if path.name not in files:
-        raise ConfigError(f"the package has no arm {path.name!r}{did_you_mean(path.name, files)}")
-    return files[path.name]
 
 
 def vector(values: Lengths) -> Tensor:

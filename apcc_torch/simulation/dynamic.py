@@ -19,6 +19,7 @@ from apcc_torch.control.step_io import ControllerState, Measurement
 from apcc_torch.control.trajectory import Trajectory
 from apcc_torch.errors import ConfigError
 from apcc_torch.model.abscissae import decouple
+from apcc_torch.model.curvature import curvature_weights, middle_curvature
 from apcc_torch.native.compiled import MODES, compiled
 from apcc_torch.part import Part, hold_rows, refuse_parameter, untrained
 from apcc_torch.settings import OURS, Settings, setting
@@ -92,6 +93,7 @@ class ClosedLoop(Part):
         trajectory: Targets (R, 3).
         period: s.
         abscissae: (..., k) where the sensors really are, m; None for where the controller believes them.
+        curvature_places: (..., n_c) abscissae where curvature is measured, m; None for nowhere.
 
     Raises:
         ConfigError: The controller has no routing.
@@ -99,6 +101,7 @@ class ClosedLoop(Part):
 
     X_tilde: Tensor
     j: Tensor
+    curvature_weights: Tensor | None
 
     def __init__(
         self,
@@ -108,6 +111,7 @@ class ClosedLoop(Part):
         trajectory: Trajectory,
         period: float,
         abscissae: Tensor | None = None,
+        curvature_places: Tensor | None = None,
     ) -> None:
         super().__init__()
         if controller.routing is None:
@@ -121,18 +125,28 @@ class ClosedLoop(Part):
         refuse_parameter("abscissae", abscissae, "where the sensors are is made of them once; hand in a plain tensor")
         places = untrained(controller.feedback.abscissae) if abscissae is None else abscissae
         X_tilde, j = decouple(places.to(lengths), lengths)
-        hold_rows(self, X_tilde=(X_tilde, 1), j=(j, 1))
+        weights = None
+        if curvature_places is not None:
+            weights = curvature_weights(lengths, plant.refine, curvature_places.to(lengths))
+        hold_rows(self, X_tilde=(X_tilde, 1), j=(j, 1), curvature_weights=(weights, 2))
+
+    def curvature(self, q: Tensor) -> Tensor | None:
+        """True curvature (..., n_c, 2) where it is measured, 1/m; None where it is not."""
+        if self.curvature_weights is None:
+            return None
+        return self.curvature_weights @ middle_curvature(self.plant.backbone, q, self.plant.dynamics.lengths)
 
     def poses(self, q: Tensor) -> Tensor:
         """True poses of the sensors (..., k, 4, 4)."""
         return self.plant.backbone.pose(q, self.plant.dynamics.lengths, self.X_tilde, self.j)
 
-    def start(self, arm: PlantState, pi_hat: Tensor) -> LoopState:
+    def start(self, arm: PlantState, pi_hat: Tensor, generator: torch.Generator | None = None) -> LoopState:
         """The loop on an arm at rest.
 
         Args:
             arm: The settled arm.
             pi_hat: (..., n_b) first estimates, m.
+            generator: Of what is drawn once of the sensors; None for torch's global one.
         """
         T = self.poses(arm.arm.q)
         controller = self.controller
@@ -148,7 +162,7 @@ class ClosedLoop(Part):
             # What held the settled arm: its tendons at their zero lengths.
             zero = torch.zeros_like(arm.z)
             u = self.plant.forces(arm, TendonReference(zero, zero))
-        return LoopState(arm, state, self.sensors.initial_state(T), y, u)
+        return LoopState(arm, state, self.sensors.initial_state(T, self.curvature(arm.arm.q), generator), y, u)
 
     def blank(self) -> tuple[LoopState, Tensor, Tensor, Draws]:
         """Arguments of the form that one row has: what a compiler needs to see."""
@@ -159,10 +173,16 @@ class ClosedLoop(Part):
         model, k = self.controller.backbone, torch.zeros((), dtype=torch.int64, device=lengths.device)
         state = self.controller.initial_state(zero.expand(model.n), zero.expand(model.n_sections) + 0.1, zero)
         T = torch.eye(4, dtype=zero.dtype, device=zero.device).expand(self.j.shape[-1], 4, 4)
-        sensors = self.sensors.initial_state(T)
+        chance = torch.Generator(T.device)
+        sensors = self.sensors.initial_state(T, self.curvature(arm.arm.q), chance)
         u = y if isinstance(self.controller, CompositeController) else None
         now = LoopState(arm, state, sensors, y, u)
-        return now, zero, k, self.sensors.draw(T[(None,) * self.sensors.shared], n_tendons=y.shape[-1])
+        return now, zero, k, self.draw(T[(None,) * self.sensors.shared], chance)
+
+    def draw(self, T: Tensor, generator: torch.Generator | None) -> Draws:
+        """The chance in one reading; see `PoseSensors.draw`."""
+        n_curvature = 0 if self.curvature_weights is None else self.curvature_weights.shape[-2]
+        return self.sensors.draw(T, generator, self.plant.B.shape[-1], n_curvature)
 
     def forward(self, now: LoopState, time: Tensor, k: Tensor, draws: Draws) -> tuple[LoopState, tuple[Tensor, ...]]:
         """The loop one period later, and the row of the log: `DynamicLog`'s fields without time and divergence.
@@ -174,13 +194,12 @@ class ClosedLoop(Part):
             draws: The chance in the sensors' reading.
         """
         plant, arm = self.plant, now.plant
-        sensors, seen, mask = self.sensors.read(now.sensors, self.poses(arm.arm.q), draws)
+        sensors, seen = self.sensors.sense(now.sensors, self.poses(arm.arm.q), self.curvature(arm.arm.q), draws)
         target, lengths = self.trajectory(time), plant.lengths(arm.arm.q)
         pull = plant.forces(arm, ramp(now.y, now.y, 0.0, self.period)) if self.sensors.stretches else None
         tendons = self.sensors.measured_tendons(lengths, pull, draws)
-        state, command = self.controller(
-            now.controller, Measurement(seen, time, mask, forces=now.u, tendons=tendons), target
-        )
+        measurement = Measurement(seen.T, time, seen.mask, forces=now.u, tendons=tendons, curvature=seen.curvature)
+        state, command = self.controller(now.controller, measurement, target)
         y = command.y
         assert y is not None  # the controller has a routing
         force = command.force
@@ -220,6 +239,7 @@ def simulate_dynamic(
     generator: torch.Generator | None = None,
     progress: Progress = quiet,
     abscissae: Tensor | None = None,
+    curvature_places: Tensor | None = None,
 ) -> DynamicLog:
     """Runs the closed loop for all rows at once.
 
@@ -232,7 +252,7 @@ def simulate_dynamic(
         settings: Rates and times, and how the loop is run.
         generator: Source of the sensors' noise.
         progress: Wraps the control-step counter, for a progress bar.
-        abscissae: See `ClosedLoop`.
+        abscissae, curvature_places: See `ClosedLoop`.
 
     Raises:
         ConfigError: The controller has no routing.
@@ -254,15 +274,15 @@ def simulate_dynamic(
         return now.y[..., :0]
 
     period = 1.0 / settings.control_rate
-    loop = ClosedLoop(plant, controller, sensors, trajectory, period, abscissae)
+    loop = ClosedLoop(plant, controller, sensors, trajectory, period, abscissae, curvature_places)
     _, time, k, _ = example = loop.blank()
     step = compiled(loop, example, settings.compile, plant.payload.numel())
     arm = plant.settled(plant.settle, period / plant.substeps, settings.compile, settings.checkpointed)
-    now = loop.start(arm, pi_hat)
+    now = loop.start(arm, pi_hat, generator)
     poses = now.sensors.queue[..., 0, :, :, :]
 
     def arguments(index: int) -> tuple[Tensor, Tensor, Draws]:
-        return time + index * period, k + index, sensors.draw(poses, generator, now.y.shape[-1])
+        return time + index * period, k + index, loop.draw(poses, generator)
 
     def one(now: LoopState, time: Tensor, k: Tensor, draws: Draws) -> tuple[LoopState, tuple[Tensor, ...]]:
         before = now

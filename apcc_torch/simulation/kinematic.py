@@ -14,6 +14,7 @@ from apcc_torch.control.trajectory import Trajectory
 from apcc_torch.errors import ValueRangeError
 from apcc_torch.linalg import damped_pseudo_inverse, scaled_within
 from apcc_torch.model.abscissae import decouple
+from apcc_torch.model.curvature import curvature_weights, middle_curvature
 from apcc_torch.model.kinematic_model import KinematicModel
 from apcc_torch.modes import holds
 from apcc_torch.native.compiled import compiled
@@ -98,11 +99,13 @@ class FeedbackLoop(Part):
         trajectory: What to follow.
         dt: Period, s.
         sensors: What the sensors make of the true poses; None for perfect ones.
+        curvature_places: (..., n_c) abscissae where curvature is measured, m; None for nowhere.
     """
 
     pi: Tensor
     X_tilde: Tensor
     j: Tensor
+    curvature_weights: Tensor | None
 
     def __init__(
         self,
@@ -111,6 +114,7 @@ class FeedbackLoop(Part):
         trajectory: Trajectory,
         dt: float,
         sensors: PoseSensors | None = None,
+        curvature_places: Tensor | None = None,
     ) -> None:
         super().__init__()
         self.controller = controller
@@ -119,24 +123,38 @@ class FeedbackLoop(Part):
         self.sensors = PoseSensors() if sensors is None else sensors
         refuse_parameter("pi", pi, "where the sensors are is made of it once; hand in a plain tensor")
         X_tilde, j = decouple(untrained(controller.feedback.abscissae).to(pi), pi)
-        hold_rows(self, pi=(pi, 1), X_tilde=(X_tilde, 1), j=(j, 1))
+        weights = None if curvature_places is None else curvature_weights(pi, 1, curvature_places.to(pi))
+        hold_rows(self, pi=(pi, 1), X_tilde=(X_tilde, 1), j=(j, 1), curvature_weights=(weights, 2))
 
     def poses(self, q: Tensor) -> Tensor:
         """True poses of the sensors (..., k, 4, 4)."""
         return self.controller.backbone.pose(q, self.pi, self.X_tilde, self.j)
 
-    def start(self, pi_hat: Tensor) -> FeedbackState:
-        """On the trajectory's first point; pi_hat (..., n_b) m."""
+    def curvature(self, q: Tensor) -> Tensor | None:
+        """True curvature (..., n_c, 2) where it is measured, 1/m; None where it is not."""
+        if self.curvature_weights is None:
+            return None
+        return self.curvature_weights @ middle_curvature(self.controller.backbone, q, self.pi)
+
+    def start(self, pi_hat: Tensor, generator: torch.Generator | None = None) -> FeedbackState:
+        """On the trajectory's first point; pi_hat (..., n_b) m, generator of what is drawn once of the sensors."""
         q = on_target(self.controller, self.pi, self.trajectory)
         state = self.controller.initial_state(q, pi_hat)
-        return FeedbackState(q, state, self.sensors.initial_state(self.poses(q)))
+        return FeedbackState(q, state, self.sensors.initial_state(self.poses(q), self.curvature(q), generator))
 
     def blank(self) -> tuple[FeedbackState, Tensor, Draws]:
         """Arguments of the form that one row has: what a compiler needs to see."""
         q, pi_hat, zero = blank_row(self.controller, self.pi)
         T = torch.eye(4, dtype=q.dtype, device=q.device).expand(self.j.shape[-1], 4, 4)
-        now = FeedbackState(q, self.controller.initial_state(q, pi_hat), self.sensors.initial_state(T))
-        return now, zero, self.sensors.draw(T[(None,) * self.sensors.shared])
+        chance = torch.Generator(T.device)
+        sensors = self.sensors.initial_state(T, self.curvature(q), chance)
+        now = FeedbackState(q, self.controller.initial_state(q, pi_hat), sensors)
+        return now, zero, self.draw(T[(None,) * self.sensors.shared], chance)
+
+    def draw(self, T: Tensor, generator: torch.Generator | None) -> Draws:
+        """The chance in one reading; see `PoseSensors.draw`."""
+        n_curvature = 0 if self.curvature_weights is None else self.curvature_weights.shape[-2]
+        return self.sensors.draw(T, generator, n_curvature=n_curvature)
 
     def forward(self, now: FeedbackState, time: Tensor, draws: Draws) -> tuple[FeedbackState, tuple[Tensor, ...]]:
         """The state one period later, and the row of the log: `KinematicLog`'s fields without the time.
@@ -149,8 +167,9 @@ class FeedbackLoop(Part):
         target, ahead = self.trajectory(time), self.trajectory(time + self.dt)
         # qdot is held for a period, so it carries the target's mean velocity over that period.
         target = target._replace(xdot_d=(ahead.x_d - target.x_d) / self.dt)
-        sensors, seen, mask = self.sensors.read(now.sensors, self.poses(now.q), draws)
-        state, command = self.controller(now.controller, Measurement(seen, time, mask), target)
+        sensors, seen = self.sensors.sense(now.sensors, self.poses(now.q), self.curvature(now.q), draws)
+        measurement = Measurement(seen.T, time, seen.mask, curvature=seen.curvature)
+        state, command = self.controller(now.controller, measurement, target)
         feedback = command.feedback
         x = self.controller.backbone.tip(now.q, self.pi)
         q_bar, pi_hat = feedback.q_bar, now.controller.pi_hat
@@ -183,6 +202,7 @@ def simulate_feedback(
     checkpointed: bool = False,
     sensors: PoseSensors | None = None,
     generator: torch.Generator | None = None,
+    curvature_places: Tensor | None = None,
 ) -> KinematicLog:
     """Section V-A whole: sensors on the true arm, algorithm 2 and the law in the loop. Fig. 6 [Dalenberg].
 
@@ -200,6 +220,7 @@ def simulate_feedback(
         checkpointed: See `rollout`.
         sensors: What the sensors make of the true poses; None for perfect ones.
         generator: Source of the sensors' noise; None for torch's global one.
+        curvature_places: (..., n_c) abscissae where curvature is measured, m; None for nowhere.
 
     Example:
         >>> arm = Arm(lengths=[0.2, 0.25])
@@ -211,12 +232,12 @@ def simulate_feedback(
         (torch.Size([51, 2]), True)
     """
     pi, pi_hat = torch.broadcast_tensors(pi, pi_hat)
-    loop = FeedbackLoop(controller, pi, trajectory, 1.0 / rate, sensors)
-    start = loop.start(pi_hat)
+    loop = FeedbackLoop(controller, pi, trajectory, 1.0 / rate, sensors, curvature_places)
+    start = loop.start(pi_hat, generator)
     poses = start.sensors.queue[..., 0, :, :, :]
 
     def draws() -> tuple[Draws]:
-        return (loop.sensors.draw(poses, generator),)
+        return (loop.draw(poses, generator),)
 
     return run_loop(loop, start, round(duration * rate) + 1, progress, compile, checkpointed, draws)
 

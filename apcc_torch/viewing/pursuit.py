@@ -45,7 +45,8 @@ class Pursuit:
         self.generator = torch.Generator(build.device).manual_seed(settings.seed)
         controller = with_dynamics(build, build.controller())
         sensors, places = build.pose_sensors(), build.true_sensors_at()
-        self.loop = ClosedLoop(self.plant, controller, sensors, self.set_point, self.period, places)
+        bent = build.curvature_places()
+        self.loop = ClosedLoop(self.plant, controller, sensors, self.set_point, self.period, places, bent)
         self.controller: APCCController = (
             controller.kinematic if isinstance(controller, CompositeController) else controller
         )
@@ -81,7 +82,7 @@ class Pursuit:
     def reset(self) -> None:
         """Puts the arm back to where it hung when the view began, and the estimates to the first ones."""
         with torch.inference_mode():
-            self.now: LoopState = self.loop.start(self.rest, self.first_estimate)
+            self.now: LoopState = self.loop.start(self.rest, self.first_estimate, self.generator)
             self.steps = 0
             self.zero = torch.zeros((), dtype=self.first_estimate.dtype)
             self.q, self.u = self.now.plant.arm.q, torch.zeros_like(self.now.y)
@@ -91,8 +92,7 @@ class Pursuit:
     def step(self) -> None:
         """One control period."""
         with torch.inference_mode():
-            poses, n_tendons = self.now.sensors.queue[..., 0, :, :, :], self.now.y.shape[-1]
-            draws = self.loop.sensors.draw(poses, self.generator, n_tendons)
+            draws = self.loop.draw(self.now.sensors.queue[..., 0, :, :, :], self.generator)
             time, k = self.zero + self.time, torch.tensor(self.steps)
             self.now, row = self.step_loop(self.now, time, k, draws)
             # As the loop's log has them: q_bar belongs to the rest lengths before the step.

@@ -73,6 +73,8 @@ def test_endings_can_be_changed() -> None:
         ("guards.limits.lower=5", "guards.limits.lower must be below upper"),
         ("guards.limits.rate=0", r"guards\.limits\.rate must be positive"),
         ("guards.endings.late=hold", r"guards\.endings must be one of arrived, .*, got 'late'"),
+        ("arm.sensed=[pose,pose,tilt]", "the loop on an arm reads poses alone"),
+        ("arm.curvature_sensors=[0.1]", "the loop on an arm reads poses alone"),
         ("guards.sensing.stale=0", r"guards\.sensing\.stale must be positive"),
         ("guards.sensing.gate.max_bend=[1,2]", r"guards\.sensing\.gate\.max_bend must have 3 entries, got 2"),
         ("guards.sensing.gate.max_ben=1", r"guards\.sensing\.gate\.max_ben is no setting; did you mean max_bend"),

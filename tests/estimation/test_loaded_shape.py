@@ -8,8 +8,9 @@ from torch import Tensor
 
 from apcc_torch import Arm, PCCBackbone, decouple
 from apcc_torch.errors import ConfigError
-from apcc_torch.estimation.loaded_shape import LoadedShape, ShapeState
+from apcc_torch.estimation.loaded_shape import LoadedShape
 from apcc_torch.estimation.loaded_shape_settings import LoadedShapeSettings
+from apcc_torch.estimation.shape_state import ShapeState
 from apcc_torch.model.statics import Equilibrium, equilibrium
 
 D = torch.float64

@@ -126,6 +126,17 @@ class Fault:
         return [fault for fault in table if fault is not None]
 
     @staticmethod
+    def of_qualisys() -> list[Fault]:
+        """What of the table cameras make, on Qualisys cameras, which say some of it in other words."""
+        said = {
+            "an unknown version after a restart": r"no new frame|QTM does not speak version 1\.25",
+            "an unknown version": r"QTM does not speak version 1\.25 of its protocol: Version NOT supported",
+            "no cameras": "no QTM answers",
+        }
+        first = [fault for fault in WRONG_FROM_THE_START if fault.name in (*said, "untracked from the start")]
+        return [replace(fault, said=said.get(fault.name, fault.said)) for fault in (*CAMERAS_WRONG, *first)]
+
+    @staticmethod
     def survived(name: str, make: Make) -> Fault:
         """One that the run outlives."""
         return Fault(name, make, R.DURATION, "s are over", HELD, limits={"left": 1.5})

@@ -55,20 +55,23 @@ ALWAYS = {
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
-    """The kinds of motors, and for each its table of faults."""
+    """The kinds of motors and the makes of cameras, and for each its table of faults."""
     if "fault" in metafunc.fixturenames:
         every = metafunc.config.getoption("--every-kind")
-        rows = [(DYNAMIXEL, fault) for fault in Fault.every()]
+        optitrack, qualisys = (DYNAMIXEL, "optitrack"), (DYNAMIXEL, "qualisys")
+        rows = [(optitrack, fault) for fault in Fault.every()]
         for kind, names in ALWAYS.items():
-            rows += [(kind, fault) for fault in Fault.on(kind) if every or fault.name in names]
-        ids = [fault.name if kind is DYNAMIXEL else f"{kind.name}-{fault.name}" for kind, fault in rows]
+            rows += [((kind, "optitrack"), fault) for fault in Fault.on(kind) if every or fault.name in names]
+        rows += [(qualisys, fault) for fault in Fault.of_qualisys()]
+        before = {optitrack: "", qualisys: "qualisys-"}
+        ids = [f"{before.get(rig, f'{rig[0].name}-')}{fault.name}" for rig, fault in rows]
         metafunc.parametrize(("platform", "fault"), rows, ids=ids, indirect=["platform"], scope="module")
 
 
 @pytest.fixture(scope="module")
 def platform(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[EmulatedPlatform]:
-    kind = getattr(request, "param", DYNAMIXEL)
-    with EmulatedPlatform(tmp_path_factory.mktemp("platform"), 100.0, kind) as platform:
+    kind, make = getattr(request, "param", (DYNAMIXEL, "optitrack"))
+    with EmulatedPlatform(tmp_path_factory.mktemp("platform"), 100.0, kind, make) as platform:
         yield platform
 
 
@@ -255,6 +258,7 @@ def test_kill_9(scene: Scene) -> None:
     assert robot_log(["replay", str(scene.folder / "log.mcap")]) == 0
 
 
+@pytest.mark.parametrize("platform", ["optitrack", "qualisys"], indirect=True)
 def test_small_faults_do_not_end_a_run(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
     """Lost and spoilt replies now and then, garbage, copies, and frames from another sender."""
 

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from apcc_torch.errors import CommunicationError, HardwareError
+from apcc_torch.hardware.mocap.bodies import BodyPose
 
 try:
     from natnet.data_descriptions import (
@@ -72,15 +73,6 @@ class Server:
     name: str
     version: tuple[int, int]
     tick_rate: int
-
-
-@dataclass(frozen=True)
-class BodyPose:
-    """A rigid body of a frame: position (x, y, z) in streamed units, quaternion (x, y, z, w), tracked or not."""
-
-    position: tuple[float, float, float]
-    quaternion: tuple[float, float, float, float]
-    tracked: bool
 
 
 @dataclass(frozen=True)

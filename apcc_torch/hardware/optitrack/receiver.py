@@ -10,8 +10,8 @@ from collections.abc import Callable
 from functools import partial
 
 from apcc_torch.errors import CommunicationError
-from apcc_torch.hardware.optitrack.counts import Counts
-from apcc_torch.hardware.optitrack.limited_log import LimitedLog
+from apcc_torch.hardware.mocap.counts import Counts
+from apcc_torch.hardware.mocap.limited_log import LimitedLog
 from apcc_torch.hardware.optitrack.packets import MAX_DATAGRAM
 from apcc_torch.hardware.optitrack.settings import OptiTrackSettings
 from apcc_torch.plain_text import plain_logger

@@ -4,23 +4,14 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+
+from hardware.emulators.mocap_server import Body
 
 Version = tuple[int, int]
 
 CONNECT, SERVER_INFO, REQUEST_MODEL, MODEL, FRAME, KEEPALIVE, UNRECOGNIZED = 0, 1, 4, 5, 7, 10, 100
 TICK_RATE = 10_000_000
 VERSIONS: tuple[Version, ...] = ((3, 0), (3, 1), (4, 0), (4, 1), (4, 2))
-
-
-@dataclass
-class Body:
-    """One rigid body as it is streamed: quaternion x, y, z, w."""
-
-    number: int
-    position: Sequence[float]
-    quaternion: Sequence[float]
-    tracked: bool = True
 
 
 def message(number: int, payload: bytes) -> bytes:

@@ -15,10 +15,17 @@ import numpy as np
 from hardware.emulators.arm import EmulatedArm
 from hardware.emulators.kinds import DYNAMIXEL, LOWER, MOTORS, RADII, SIGNS, UPPER, Kind
 from hardware.emulators.line import positions_file
+from hardware.emulators.mocap_server import MocapServer
 from hardware.emulators.natnet_server import NatNetServer
+from hardware.emulators.qtm_server import QtmServer
 from hardware.emulators.servo.emulator import ServoEmulator
 
 STEP = 0.01  # m between two commands
+MAKES: dict[str, tuple[type[MocapServer], str]] = {
+    "optitrack": (NatNetServer, "command_port"),
+    "qualisys": (QtmServer, "port"),
+}
+"""Emulator of each make of cameras, and the setting that has its port."""
 NAMES = {1: "base", 2: "disk_1", 3: "disk_3", 4: "disk_5"}
 
 
@@ -29,12 +36,14 @@ class EmulatedPlatform:
         folder: For the terminal's name.
         frame_rate: Of the cameras, Hz.
         kind: The motors.
+        make: Of the cameras, one of `MAKES`.
     """
 
-    def __init__(self, folder: Path, frame_rate: float = 50.0, kind: Kind = DYNAMIXEL) -> None:
+    def __init__(self, folder: Path, frame_rate: float = 50.0, kind: Kind = DYNAMIXEL, make: str = "optitrack") -> None:
         self.kind = kind
         self.link = folder / "servos"
         self.frame_rate = frame_rate
+        self.make = make
 
     def __enter__(self) -> Self:
         self.stack = ExitStack()
@@ -44,7 +53,7 @@ class EmulatedPlatform:
         self._used()
         per_tick = [sign * radius * 2 * np.pi / 4096 for sign, radius in zip(SIGNS, RADII, strict=True)]
         self.arm = EmulatedArm(positions_file(self.link), self.kind.zeros, per_tick)
-        self.cameras = self.stack.enter_context(NatNetServer(NAMES, self.arm, rate=self.frame_rate))
+        self.cameras = self.stack.enter_context(MAKES[self.make][0](NAMES, self.arm, rate=self.frame_rate))
         return self
 
     def __exit__(self, *unused: object) -> None:
@@ -57,7 +66,7 @@ class EmulatedPlatform:
         self.servos.do("fresh")
         self._used()
         self.cameras.fault()
-        self.cameras.restart(version=(4, 1))
+        self.cameras.restart(version=type(self.cameras).version)
 
     def _used(self) -> None:
         if self.kind.before is not None:
@@ -69,12 +78,12 @@ class EmulatedPlatform:
         """Settings that fit, with times that a busy machine keeps."""
         motors = {"port": self.link} | self.kind.actuator
         cameras = {
-            "server": "127.0.0.1", "interface": "127.0.0.1", "command_port": self.cameras.command_port,
+            "server": "127.0.0.1", "interface": "127.0.0.1", MAKES[self.make][1]: self.cameras.command_port,
             "base_frames": 5, "max_age": 0.6, "timeout": 0.9, "connect_timeout": 20.0, "max_speed": 5.0,
             "max_angular_rate": 40.0,
         }  # fmt: skip
         return [
-            f"hardware={self.kind.preset}",
+            f"hardware={self.kind.preset.replace('optitrack', self.make)}",
             "guards=simulated",
             f"guards.limits.lower={LOWER}",
             f"guards.limits.upper={UPPER}",

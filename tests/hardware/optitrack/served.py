@@ -7,9 +7,10 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 from apcc_torch.errors import HardwareError
+from apcc_torch.hardware.mocap.tracker import MocapSample
 from apcc_torch.hardware.optitrack.sensor import OptiTrackSensor
-from apcc_torch.hardware.optitrack.tracker import OptiTrackSample
-from hardware.emulators.natnet_server import NatNetServer, standing
+from hardware.emulators.mocap_server import standing
+from hardware.emulators.natnet_server import NatNetServer
 from hardware.optitrack.streams import settings
 
 RATE = 200.0
@@ -53,7 +54,7 @@ def all_valid(sensor: OptiTrackSensor) -> bool:
     return sample is not None and bool(sample.valid.all())
 
 
-def sample_beyond(sensor: OptiTrackSensor, sequence: int, timeout: float = 5.0) -> OptiTrackSample:
+def sample_beyond(sensor: OptiTrackSensor, sequence: int, timeout: float = 5.0) -> MocapSample:
     """The first sample that is seen with a frame number above `sequence`."""
     end = time.monotonic() + timeout
     sample = sensor.latest()
@@ -63,7 +64,7 @@ def sample_beyond(sensor: OptiTrackSensor, sequence: int, timeout: float = 5.0) 
     return sample
 
 
-def next_sample(sensor: OptiTrackSensor, frames: int = 1) -> OptiTrackSample:
+def next_sample(sensor: OptiTrackSensor, frames: int = 1) -> MocapSample:
     """The sample of some frames later."""
     sample = sensor.latest()
     for _ in range(frames):

@@ -6,11 +6,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from apcc_torch.hardware.optitrack.counts import Counts
-from apcc_torch.hardware.optitrack.packets import BodyPose, Frame
+from apcc_torch.hardware.mocap.bodies import BodyPose
+from apcc_torch.hardware.mocap.counts import Counts
+from apcc_torch.hardware.mocap.tracker import MocapSample, Tracker
+from apcc_torch.hardware.optitrack.packets import Frame
 from apcc_torch.hardware.optitrack.settings import OptiTrackSettings
-from apcc_torch.hardware.optitrack.tracker import OptiTrackSample, Tracker
-from hardware.emulators.natnet_server import standing
+from hardware.emulators.mocap_server import standing
 
 NAMES = {1: "base", 2: "disk_1", 3: "disk_2", 4: "disk_3"}
 IDS = {name: number for number, name in NAMES.items()}
@@ -58,17 +59,17 @@ class Stream:
         ticks = (round((stamp - EXPOSURE) * TICK_RATE), round(stamp * TICK_RATE)) if self.ticks else (0, 0)
         return Frame(self.sequence, bodies, stamp, *ticks)
 
-    def take(self, frame: Frame, delay: float = TRANSPORT) -> OptiTrackSample | None:
+    def take(self, frame: Frame, delay: float = TRANSPORT) -> MocapSample | None:
         """Hands a frame over, `delay` after it was sent."""
         return self.tracker.update(frame, TICK_RATE if self.ticks else 0, self.now + delay)
 
-    def step(self, poses: np.ndarray | None = None, untracked: tuple[int, ...] = ()) -> OptiTrackSample:
+    def step(self, poses: np.ndarray | None = None, untracked: tuple[int, ...] = ()) -> MocapSample:
         """Makes the next frame and hands it over in time."""
         sample = self.take(self.frame(poses, untracked))
         assert sample is not None
         return sample
 
-    def run(self, frames: int) -> OptiTrackSample:
+    def run(self, frames: int) -> MocapSample:
         """Some good frames."""
         for _ in range(frames):
             sample = self.step()

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from apcc_torch.hardware.optitrack.clock import ClockMap
+from apcc_torch.hardware.mocap.clock import ClockMap
 
 MIN_DELAY = 2e-4
 

@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 
 from apcc_torch.errors import CommunicationError
-from apcc_torch.hardware.optitrack.gate import Reason
+from apcc_torch.hardware.mocap.gate import Reason
 from apcc_torch.hardware.optitrack.sensor import OptiTrackSensor
-from hardware.emulators.natnet_server import NatNetServer, standing
+from hardware.emulators.mocap_server import standing
+from hardware.emulators.natnet_server import NatNetServer
 from hardware.optitrack.served import RATE, all_valid, connected, eventually, next_sample, renew, sample_beyond
 from hardware.optitrack.test_tracker import expected
 

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from apcc_torch.errors import HardwareError, ShapeError, ValueRangeError
-from apcc_torch.hardware.optitrack.frames import BaseFrame, check_pose, mean_pose, pose_distance, rotations
+from apcc_torch.hardware.mocap.frames import BaseFrame, check_pose, mean_pose, pose_distance, rotations
 from hardware.optitrack.streams import settings
 
 seeds = st.integers(0, 2**31)

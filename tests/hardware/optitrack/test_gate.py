@@ -11,9 +11,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from apcc_torch.hardware.optitrack.gate import BodyGate, Reason
-from apcc_torch.hardware.optitrack.packets import BodyPose
-from hardware.emulators.natnet_server import standing
+from apcc_torch.hardware.mocap.bodies import BodyPose
+from apcc_torch.hardware.mocap.gate import BodyGate, Reason
+from hardware.emulators.mocap_server import standing
 from hardware.optitrack.streams import body, settings
 
 OK, JUMP, RECOVERING, SWAPPED = Reason.OK, Reason.JUMP, Reason.RECOVERING, Reason.SWAPPED

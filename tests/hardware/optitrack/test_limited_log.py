@@ -7,7 +7,7 @@ import time
 
 import pytest
 
-from apcc_torch.hardware.optitrack.limited_log import LimitedLog
+from apcc_torch.hardware.mocap.limited_log import LimitedLog
 
 
 def test_each_kind_has_its_own_limit(caplog: pytest.LogCaptureFixture) -> None:

@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 from apcc_torch.errors import CommunicationError, HardwareError
 from apcc_torch.hardware.optitrack import packets
 from hardware.emulators import natnet_layout as layout
-from hardware.emulators.natnet_layout import Body, Version
-from hardware.emulators.natnet_server import standing
+from hardware.emulators.mocap_server import Body, standing
+from hardware.emulators.natnet_layout import Version
 from hardware.optitrack.streams import NAMES, TICK_RATE, Stream
 
 every_version = pytest.mark.parametrize("version", layout.VERSIONS)

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 import pytest
 
 from apcc_torch.errors import CommunicationError
-from apcc_torch.hardware.optitrack.counts import Counts
+from apcc_torch.hardware.mocap.counts import Counts
 from apcc_torch.hardware.optitrack.receiver import Receiver
 from apcc_torch.hardware.optitrack.sensor import OptiTrackSensor
 from hardware.emulators import natnet_layout as layout

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from apcc_torch.hardware.optitrack.gate import Reason
-from apcc_torch.hardware.optitrack.tracker import OptiTrackSample
-from hardware.emulators.natnet_server import standing
+from apcc_torch.hardware.mocap.gate import Reason
+from apcc_torch.hardware.mocap.tracker import MocapSample
+from hardware.emulators.mocap_server import standing
 from hardware.optitrack.streams import EXPOSURE, IDS, RATE, TRANSPORT, Stream, settings
 
 OK = Reason.OK
@@ -25,7 +25,7 @@ def expected(poses: np.ndarray) -> np.ndarray:
     return T
 
 
-def invalid(sample: OptiTrackSample, *bodies: int) -> bool:
+def invalid(sample: MocapSample, *bodies: int) -> bool:
     """Whether exactly these bodies are not valid, and hold NaN."""
     wrong = [k for k in range(3) if not sample.valid[k]]
     return (

@@ -12,8 +12,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum
 
-from apcc_torch.hardware.optitrack.packets import BodyPose
-from apcc_torch.hardware.optitrack.settings import OptiTrackSettings
+from apcc_torch.hardware.mocap.bodies import BodyPose
+from apcc_torch.hardware.mocap.settings import MocapSettings
 
 _LONGEST_GAP = 0.1  # s: a limit on speed allows no more way than this, however long a body was out of sight
 _PLACE_LIFETIME = 1.0  # s: the age from which a body's place is no evidence for another's having taken it
@@ -45,7 +45,7 @@ class _Sight:
     quaternion: tuple[float, float, float, float]
     time: float
 
-    def allows(self, body: BodyPose, time: float, settings: OptiTrackSettings) -> bool:
+    def allows(self, body: BodyPose, time: float, settings: MocapSettings) -> bool:
         """Whether the body can have moved from here to there by then."""
         waited = min(max(time - self.time, 0.0), _LONGEST_GAP)
         if math.dist(self.position, body.position) > settings.position_margin + settings.max_speed * waited:
@@ -78,7 +78,7 @@ class BodyGate:
         settings: The limits.
     """
 
-    def __init__(self, bodies: int, settings: OptiTrackSettings) -> None:
+    def __init__(self, bodies: int, settings: MocapSettings) -> None:
         self._settings = settings
         self._tracks = [_Track() for _ in range(bodies)]
 

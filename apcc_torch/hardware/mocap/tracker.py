@@ -9,18 +9,18 @@ import numpy as np
 
 from apcc_torch.errors import HardwareError
 from apcc_torch.hardware.interfaces import Array, PoseSample
-from apcc_torch.hardware.optitrack.clock import ClockMap
-from apcc_torch.hardware.optitrack.counts import Counts
-from apcc_torch.hardware.optitrack.frames import BaseFrame, pose_distance
-from apcc_torch.hardware.optitrack.gate import BodyGate, Reason
-from apcc_torch.hardware.optitrack.packets import BodyPose, Frame
-from apcc_torch.hardware.optitrack.settings import OptiTrackSettings
+from apcc_torch.hardware.mocap.bodies import BodyPose, Frame
+from apcc_torch.hardware.mocap.clock import ClockMap
+from apcc_torch.hardware.mocap.counts import Counts
+from apcc_torch.hardware.mocap.frames import BaseFrame, pose_distance
+from apcc_torch.hardware.mocap.gate import BodyGate, Reason
+from apcc_torch.hardware.mocap.settings import MocapSettings
 
 _TICK = 1e-6  # s: the least difference of two samples' stamps
 
 
 @dataclass(frozen=True)
-class OptiTrackSample(PoseSample):
+class MocapSample(PoseSample):
     """A sample that also says why a body is not valid, in the order of the configured bodies, and of the base."""
 
     reasons: tuple[Reason, ...]
@@ -39,11 +39,11 @@ class Tracker:
     Args:
         settings: The sensor's settings.
         counts: Where frames and refused bodies are counted.
-        base: The arm's base frame in Motive's z-up world, m, (4, 4), from an earlier measurement; None: a static base
-            is measured from the first frames, one that moves is taken from each frame.
+        base: The arm's base frame in the cameras' z-up world, m, (4, 4), from an earlier measurement; None: a static
+            base is measured from the first frames, one that moves is taken from each frame.
     """
 
-    def __init__(self, settings: OptiTrackSettings, counts: Counts, base: Array | None = None) -> None:
+    def __init__(self, settings: MocapSettings, counts: Counts, base: Array | None = None) -> None:
         self._settings, self._counts = settings, counts
         self._frame = BaseFrame(settings)
         self._gate = BodyGate(len(settings.names), settings)
@@ -62,7 +62,7 @@ class Tracker:
         self._older: int | None = None  # the last of some frames in a row with lower numbers
         self._older_streak = 0
 
-    def update(self, frame: Frame, tick_rate: int, arrival: float) -> OptiTrackSample | None:
+    def update(self, frame: Frame, tick_rate: int, arrival: float) -> MocapSample | None:
         """Takes a frame in.
 
         Args:
@@ -185,13 +185,11 @@ class Tracker:
             if reason is not Reason.OK:
                 self._counts.reject(name, reason.name.lower())
 
-    def _sample(
-        self, sequence: int, stamp: float, T: Array, base: Array | None, reasons: list[Reason]
-    ) -> OptiTrackSample:
+    def _sample(self, sequence: int, stamp: float, T: Array, base: Array | None, reasons: list[Reason]) -> MocapSample:
         """The sample of a frame; `T` and `reasons` are of the base, then of the bodies."""
         valid = np.array([reason is Reason.OK for reason in reasons[1:]])
         relative = np.full_like(T[1:], np.nan)
         if base is not None and valid.any():
             relative[valid] = self._frame.relative(base, T[1:][valid])
         valid.setflags(write=False)
-        return OptiTrackSample(stamp, sequence, readonly(relative), valid, tuple(reasons[1:]), reasons[0])
+        return MocapSample(stamp, sequence, readonly(relative), valid, tuple(reasons[1:]), reasons[0])

@@ -15,6 +15,7 @@ class Counts:
         foreign: Dropped: from another sender than the server.
         malformed: Dropped: cut or damaged.
         unexpected: Datagrams of another kind than those the receiver uses.
+        skipped: Passed over, for newer ones were waiting.
         failed: Datagrams whose handling failed in a way that was not foreseen.
         socket_errors: Failed calls to the network.
         frames: Frames that became a sample.
@@ -32,6 +33,7 @@ class Counts:
     foreign: int = 0
     malformed: int = 0
     unexpected: int = 0
+    skipped: int = 0
     failed: int = 0
     socket_errors: int = 0
     frames: int = 0

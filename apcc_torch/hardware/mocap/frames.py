@@ -1,4 +1,4 @@
-"""Poses as Motive streams them, turned to z up and expressed in the arm's base frame."""
+"""Poses as they are streamed, turned to z up and expressed in the arm's base frame."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import torch
 
 from apcc_torch.errors import HardwareError, ShapeError, ValueRangeError
 from apcc_torch.hardware.interfaces import Array
-from apcc_torch.hardware.optitrack.settings import OptiTrackSettings
+from apcc_torch.hardware.mocap.settings import MocapSettings
 from apcc_torch.lie.rotations import chordal_mean, quaternion_rotation, rotation_angle
 
 # The y-up axes turned so that y becomes z: (x, y, z) -> (x, -z, y).
@@ -60,11 +60,11 @@ def mean_pose(T: Array) -> Array:
 class BaseFrame:
     """The streamed poses' way into the arm's base frame.
 
-    The world of these poses is Motive's, z up and in m. Motive turns bodies' own axes with the world's, so a y-up
+    The world of these poses is the cameras', z up and in m. A stream turns bodies' own axes with the world's, so a y-up
     stream gives R' = C R C^T with the axes' turn C: the same poses as if it streamed z up.
     """
 
-    def __init__(self, settings: OptiTrackSettings) -> None:
+    def __init__(self, settings: MocapSettings) -> None:
         self._y_up = settings.up == "y"
         offset = np.array([settings.base_offset], dtype=np.float64)
         self._offset = poses(offset, np.array([settings.base_quaternion], dtype=np.float64))[0]
@@ -89,7 +89,7 @@ class BaseFrame:
         relative[:, :3, 3] = (T[:, :3, 3] - base[:3, 3]) @ base[:3, :3]
         return relative
 
-    def measure(self, bodies: Array, settings: OptiTrackSettings) -> Array:
+    def measure(self, bodies: Array, settings: MocapSettings) -> Array:
         """The arm's base frame (4, 4) in the world, from poses (N, 4, 4) of a base that stands still.
 
         Raises:

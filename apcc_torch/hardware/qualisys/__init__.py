@@ -1,0 +1,1 @@
+"""Qualisys motion capture, over the real-time protocol of QTM."""
