@@ -9,12 +9,15 @@ from torch import Tensor
 
 from apcc_torch.control.pressure import PressureControl
 from apcc_torch.model.chambers import ChamberForce, Chambers
+from apcc_torch.model.coordinates import CONSTANT_CURVATURE
 from parts import lengths, number, numbers, some
+
+B = Chambers(offsets=0.015).routing(lengths()).matrix(lengths())
 
 
 def chambered() -> Tensor:
     """B (6, 6) of three chambers in each of its sections."""
-    return Chambers(offsets=0.015).routing(lengths()).matrix(lengths())
+    return B.clone()
 
 
 def pushing() -> ChamberForce:
@@ -33,4 +36,4 @@ def pressed(of: PressureControl) -> Any:
     y, y_d = some(6, scale=1e-3), some(6, seed=1, scale=1e-2)
     state, first = of(of.initial_state(0.0 * y), y_d, y, number(0.02))
     state, second = of(state, 3.0 * y_d, 0.5 * y, number(0.02))
-    return first, second, state.z, state.excess
+    return first, second, state.z, state.excess, *of.bounds(state, CONSTANT_CURVATURE)

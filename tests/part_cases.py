@@ -295,7 +295,7 @@ CASES: dict[str, Case] = {
     "PressureControl": Case(
         lambda **t: PressureControl(dynamics(), chambered(), pushing(), together(), **t),
         pressed,
-        lambda: scalars(K_P=0.5, K_I=1.0, K_D=0.1, rate_time=0.02, windup_time=0.2),
+        lambda: scalars(K_P=0.5, K_I=1.0, K_D=0.1, rate_time=0.02, bend_rate=0.05, windup_time=0.2),
         lambda: {"K_P": 0.7, "share": False},
     ),
     "ChamberForce": Case(

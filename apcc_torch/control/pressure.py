@@ -37,10 +37,10 @@ class PressureControlSettings(Settings):
     """Settings of `PressureControl`."""
 
     K_P: Setting = setting(
-        0.3, "", OURS, "force on a strain that is off, over the arm's stiffness", rows="number", least=0
+        0.1, "", OURS, "force on a strain that is off, over the arm's stiffness", rows="number", least=0
     )
-    K_I: Setting = setting(1.5, "1/s", OURS, "how fast that force grows meanwhile, likewise", rows="number", least=0)
-    K_D: Setting = setting(0.2, "s", OURS, "force against the strains' rates, likewise", rows="number", least=0)
+    K_I: Setting = setting(0.5, "1/s", OURS, "how fast that force grows meanwhile, likewise", rows="number", least=0)
+    K_D: Setting = setting(0.1, "s", OURS, "force against the strains' rates, likewise", rows="number", least=0)
     rate_time: Setting = setting(0.03, "s", OURS, "over which those rates are averaged", rows="number", above=0)
     feedforward: bool = setting(True, "", OURS, "pressures that hold the arm at rest where it is to be; false: none")
     share: bool = setting(
@@ -48,6 +48,14 @@ class PressureControlSettings(Settings):
         "",
         OURS,
         "where a chamber is at its least pressure, all of its section get more: bends go before elongation",
+    )
+    bend_rate: Setting = setting(
+        2.0,
+        "rad/s",
+        OURS,
+        "bound on the rates of the bends of q_d: no valve follows faster",
+        rows="number",
+        above=0,
     )
     windup_time: Setting = setting(
         0.1,
@@ -109,6 +117,7 @@ class PressureControl(Part):
     rate_time: Setting
     feedforward: bool
     share: bool
+    bend_rate: Setting
     windup_time: Setting
 
     def __init__(
@@ -187,6 +196,9 @@ class PressureControl(Part):
     def bounds(self, state: PressureState, coordinates: Coordinates, others: RateBounds | None = None) -> RateBounds:
         """Bounds of qdot (..., n) that lead q_d to what the chambers can do, and from there no farther.
 
+        Where an elongation is at its limit, bends have to do what it cannot. Near a straight arm they would have to be
+        fast for that, so they have a bound of their own.
+
         Args:
             state: After the last step.
             coordinates: What q_d is made of.
@@ -196,6 +208,9 @@ class PressureControl(Part):
         x, y, elongation = told.unflatten(-1, (-1, 3)).unbind(-1)
         rate = coordinates.from_bends(x, y) + coordinates.on_elongations(elongation)
         lower, upper = (torch.where(on, rate, bound) for on, bound in ((rate > 0, -torch.inf), (rate < 0, torch.inf)))
+        bends = coordinates.from_bends(torch.ones_like(x), torch.ones_like(y)) * aligned(self.bend_rate, 1)
+        bends = torch.where(bends > 0.0, bends, torch.inf)
+        lower, upper = torch.maximum(lower, -bends), torch.minimum(upper, bends)
         if others is not None:
             lower, upper = torch.maximum(lower, others.lower), torch.minimum(upper, others.upper)
         return RateBounds(torch.minimum(lower, upper), torch.maximum(lower, upper))

@@ -159,6 +159,11 @@ class Plant(Part):
         """The dynamics of a true arm, with its plant's own settings."""
         return arm.dynamics(settings.refine)
 
+    @property
+    def sets_pressure(self) -> bool:
+        """Whether chambers drive it."""
+        return self.valves is not None
+
     def limp(self) -> Self:
         """The same arm without torque on its motors: its tendons are dragged along. Chambers are vented by command."""
         if self.valves is not None:
