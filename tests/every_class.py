@@ -29,6 +29,10 @@ NEEDED: dict[str, Any] = {
     "GripperSettings.id": 7,
     "PairSettings.adaptive": "dynamic_run_1",
     "PairSettings.standard": "dynamic_run_2",
+    "RegulatorSettings.commands": (0, 1),
+    "RegulatorSettings.host": "127.0.0.1",
+    "RegulatorSettings.readings": (0, 1),
+    "RegulatorSettings.upper": 1e5,
     "lengths": (0.2, 0.25),
 }
 """What settings that have to be given are in tests, by their class and name, or by name alone."""

@@ -15,6 +15,7 @@ from apcc_torch.control.composite_controller import CompositeController
 from apcc_torch.control.length_bounds import LengthBounds
 from apcc_torch.control.obstacles import Capsule, HalfSpace, Sphere
 from apcc_torch.control.pid import TendonPID
+from apcc_torch.control.pressure import PressureControl
 from apcc_torch.control.shape_law import ShapeLaw
 from apcc_torch.control.task_controller import TaskController
 from apcc_torch.control.task_integral import TaskIntegral
@@ -32,6 +33,7 @@ from apcc_torch.estimation.sensor_gate import SensorGate
 from apcc_torch.estimation.soft_window import SoftWindow
 from apcc_torch.model.affine import AffineBackbone
 from apcc_torch.model.backbone import PCCBackbone
+from apcc_torch.model.chambers import ChamberForce
 from apcc_torch.model.constant_strain import ConstantStrainBackbone
 from apcc_torch.model.dynamics_regressor import DynamicsRegressor
 from apcc_torch.model.friction import TendonTransmission
@@ -48,6 +50,8 @@ from apcc_torch.simulation.kinematic import FeedbackLoop
 from apcc_torch.simulation.plant import Plant
 from apcc_torch.simulation.rod_plant import RodPlant
 from apcc_torch.simulation.sensors import PoseSensors
+from apcc_torch.simulation.valves import Valves
+from chambered import chambered, pressed, pushing, together
 from followed import along, fit, fitted, followed, hung, led, loaded
 from laws import generator
 from parts import (
@@ -290,6 +294,28 @@ CASES: dict[str, Case] = {
     ),
     "TendonPID": Case(
         TendonPID, pid, lambda: scalars(K_P=10.0, K_I=2.0, K_D=3.0, force_limit=0.05), lambda: {"force_limit": 1e-3}
+    ),
+    "PressureControl": Case(
+        lambda **t: PressureControl(dynamics(), chambered(), pushing(), together(), **t),
+        pressed,
+        lambda: scalars(K_P=0.5, K_I=1.0, K_D=0.1, rate_time=0.02, bend_rate=0.05, windup_time=0.2),
+        lambda: {"K_P": 0.7, "share": False},
+    ),
+    "ChamberForce": Case(
+        lambda **t: ChamberForce(**{"area": 1e-4 + 1e-4 * some(6).abs(), **t}),
+        lambda of: (of(1e4 * some(6).abs()), of.pressure(some(6).abs()), of.within(1e5 * some(6))),
+        lambda: {
+            "area": 2e-4 + 1e-4 * some(6).abs(),
+            "growth": 1e-6 * some(6).abs(),
+            "rest": 1e4 + 1e3 * some(6).abs(),
+            "least": 1e3 * some(6).abs(),
+            "most": 8e4 + 1e3 * some(6).abs(),
+        },
+    ),
+    "Valves": Case(
+        lambda **t: Valves(pushing(), **t),
+        lambda of: of.forces(of.after(of.at_rest, 1e5 * some(6).abs(), 0.01)),
+        other=lambda: {"time": 0.1},
     ),
     "SineTrajectory": Case(
         lambda **t: SineTrajectory(**{"r_0": some(3), "A": some(3, seed=1), "omega": 1.0, **t}),

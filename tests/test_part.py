@@ -21,6 +21,7 @@ from apcc_torch.control.controller import APCCController
 from apcc_torch.control.inverse_kinematics import InverseKinematics
 from apcc_torch.control.length_bounds import LengthBounds
 from apcc_torch.control.pid import TendonPID, TendonPIDSettings
+from apcc_torch.control.pressure import PressureControl
 from apcc_torch.control.shape_law import ShapeLaw
 from apcc_torch.control.task_controller import TaskController
 from apcc_torch.control.task_integral import TaskIntegral, TaskIntegralSettings
@@ -34,7 +35,8 @@ from apcc_torch.estimation.sensor_gate import SensorGate
 from apcc_torch.estimation.soft_window import SoftWindow
 from apcc_torch.estimation.state_feedback import StateFeedback
 from apcc_torch.model.affine import AffineBackbone
-from apcc_torch.model.arm import Arm, ArmChanges
+from apcc_torch.model.arm import Arm
+from apcc_torch.model.arm_changes import ArmChanges
 from apcc_torch.model.backbone import PCCBackbone
 from apcc_torch.model.constant_strain import ConstantStrainBackbone
 from apcc_torch.model.friction import TendonTransmission, TendonTransmissionSettings
@@ -50,7 +52,9 @@ from apcc_torch.simulation.sensors import PoseSensors
 from apcc_torch.simulation.true_places import PlaceErrors
 from apcc_torch.spread import Numbers
 from arms import HANGING_BASE, PI
+from chambered import chambered, pushing, together
 from every_class import needed, settings_classes, subclasses
+from parts import dynamics as small
 
 D = torch.float64
 X = PI.cumsum(0)
@@ -236,6 +240,7 @@ MAKE: dict[type[Part], Callable[..., Part]] = {
     TaskController: lambda **s: controller(TaskController, **s),
     TaskIntegral: TaskIntegral,
     TendonPID: TendonPID,
+    PressureControl: lambda **s: PressureControl(small(), chambered(), pushing(), together(), **s),
     TendonTransmission: lambda **s: TendonTransmission(ARM.routing(), **s),
 }
 """Every part with settings, made with some of them changed."""

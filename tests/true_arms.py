@@ -9,7 +9,8 @@ from torch import Tensor
 
 from apcc_torch.control.pid import ramp
 from apcc_torch.model.arm import Arm
-from apcc_torch.simulation.plant import Plant, PlantSettings, PlantState
+from apcc_torch.simulation.plant import Plant, PlantSettings
+from apcc_torch.simulation.plant_state import PlantState
 
 D = torch.float64
 ARM = Arm(lengths=[0.2, 0.25], mass=0.4)

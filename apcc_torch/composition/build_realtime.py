@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 
 from apcc_torch.composition.build import Builder
-from apcc_torch.composition.realtime import RealtimeSettings
+from apcc_torch.composition.realtime import RealtimeSettings, limits_of
 from apcc_torch.control.trajectory import SetPoint, Trajectory
 from apcc_torch.errors import ConfigError
 from apcc_torch.hardware.control import Control, blank_step
@@ -102,12 +102,12 @@ class RealtimeBuilder:
     def layouts(self) -> Layouts:
         """The messages of the run's log."""
         routing, build = self.model.routing(), self.model
-        return layouts(build.backbone().n, build.n_sections, build.sensors_at().shape[0], routing.n_tendons)
+        sizes = build.backbone().n, build.n_sections, build.sensors_at().shape[0], routing.n_tendons
+        return layouts(*sizes, pressures=build.arm.chambers is not None)
 
     def limits(self) -> CommandLimits:
         """The clamps of every command."""
-        with keyed("guards.limits"):
-            return CommandLimits(self.model.routing().n_tendons, self.settings.guards.limits)
+        return limits_of(self.model.arm, self.settings.guards)
 
     def sensing(self, mounts: Mounts | None = None) -> Sensing:
         """What judges frames, of bodies that sit on the arm as `mounts` says."""

@@ -63,8 +63,8 @@ def calibrated(settings: RealtimeSettings, calibration: ArmCalibration) -> Realt
                 f"arm.sensors[{k}] is {said:g} m, and the calibration has {measured:.4f} m: mend one of them, "
                 "or widen calibration.length_tolerance"
             )
-    if not settings.calibration.lengths:
-        return settings
+    if not settings.calibration.lengths or arm.chambers is not None:
+        return settings  # an arm with chambers has its lengths at their pressure of rest, and hangs without
     racks = len(abscissae) if arm.racks is None else len(arm.racks)
     changes: dict[str, object] = {"sensors": abscissae, "racks": abscissae if racks == len(abscissae) else arm.racks}
     if arm.n_sections == len(abscissae):

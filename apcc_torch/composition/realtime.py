@@ -17,6 +17,7 @@ from apcc_torch.hardware.ramp import RampSettings
 from apcc_torch.hardware.setup import LoopSettings
 from apcc_torch.hardware.simulated.actuator import SimulatedActuatorSettings
 from apcc_torch.hardware.simulated.sensor import SimulatedSensorSettings
+from apcc_torch.model.arm import Arm
 from apcc_torch.native.compiled import MODES
 from apcc_torch.reading import keyed
 from apcc_torch.settings import OURS, PAPER, Settings, check_choice, names, setting
@@ -95,8 +96,20 @@ class RealtimeSettings(RunSettings):
         super().check()
         if isinstance(self.view, str):
             check_choice("view", self.view, (BROWSER, FOXGLOVE, "true", "false"))
+        limits_of(self.arm, self.guards)
+
+
+def limits_of(arm: Arm, guards: GuardSettings) -> CommandLimits:
+    """The clamps of every command to an arm.
+
+    Raises:
+        ConfigError, ValueRangeError: They are none of its tendons, or of its chambers.
+    """
+    if arm.chambers is None:
         with keyed("guards.limits"):
-            CommandLimits(self.arm.n_tendons, self.guards.limits)
+            return CommandLimits(arm.n_tendons, guards.limits)
+    with keyed("guards.pressures"):
+        return CommandLimits.of_chambers(arm.chambers.force(arm.n_sections), guards.pressures)
 
 
 def of_a_realtime_run(c: RealtimeSettings) -> Unread:
@@ -109,6 +122,10 @@ def of_a_realtime_run(c: RealtimeSettings) -> Unread:
         yield "adaptation bounds controller.adaptive", "the tendons go their own way, and the rest lengths stay"
     else:
         yield "ramp", "experiment.kind is not tendons"
+    if c.arm.chambers is None:
+        yield "guards.pressures", "the arm has no chambers"
+    else:
+        yield "guards.limits guards.range_margin loop.arm_margin", "the arm has chambers: guards.pressures"
     if e.kind != "dynamic" or not e.setpoints:
         yield "guards.arrival_error guards.arrival_dwell", "there is no set-point to arrive at"
     if e.kind == "calibration":

@@ -25,6 +25,11 @@ BODY = (
     "arm.axial_rigidity arm.bending_rigidity arm.damping_ratio arm.true_sensors"
 )
 """What forces act on and tendons pull: none of it is in kinematics."""
+TENDONS = (
+    "arm.racks arm.tendon_offset arm.tendons_per_rack arm.rack_twist arm.layout arm.tendons plant.pid "
+    "plant.tendon_damping plant.transmission plant.backlash sensors.tendon_noise sensors.tendon_stretch"
+)
+"""What tendons and their motors alone have."""
 
 
 def reasons_of(unread: Unread) -> dict[str, str]:
@@ -90,6 +95,10 @@ def of_a_run(c: RunSettings, velocity: bool = False) -> Unread:
     if arm.tendons.offsets is not None:
         yield "arm.tendon_offset", "arm.tendons.offsets says it"
     yield from of_its_sensors(c, law is not None and law.shape_feedback is not LengthLaw.shape_feedback)
+    if arm.chambers is None:
+        yield "pressure", "the arm has no chambers"
+    else:
+        yield TENDONS, "the arm has chambers in place of tendons"
     for on in ("arm", "plant.arm"):
         yield f"{on}.actuation {on}.mounts {on}.rest_bend {on}.placement.position", "identification alone needs it"
     events = c.plant.events

@@ -13,6 +13,7 @@ from apcc_torch.control.length_bounds import LengthBounds, LengthBoundsSettings
 from apcc_torch.control.length_law import LawStep, LengthLaw
 from apcc_torch.control.obstacles import Capsule, HalfSpace, Obstacle, Sphere
 from apcc_torch.control.pid import TendonPID, TendonPIDSettings, TendonReference, ramp
+from apcc_torch.control.pressure import PressureControl, PressureControlSettings
 from apcc_torch.control.shape_law import ShapeLaw, ShapeLawSettings
 from apcc_torch.control.step_io import Command, ControllerState, Measurement, Target
 from apcc_torch.control.task_controller import TaskController
@@ -48,6 +49,8 @@ __all__ = [
     "NormalisedLaw",
     "NormalisedLawSettings",
     "Obstacle",
+    "PressureControl",
+    "PressureControlSettings",
     "SetPoint",
     "ShapeLaw",
     "ShapeLawSettings",

@@ -139,6 +139,8 @@ class CompositeController(Part):
         s = resolved(type(self).settings_type, settings, changes)
         if kinematic.routing is None:
             raise ConfigError("a controller with a model of the dynamics needs a tendon routing")
+        if kinematic.pressure is not None:
+            raise ConfigError("a feed-forward of the tendon loop needs tendons: arm.chambers have a model of their own")
         if kinematic.shape is not None:
             raise ConfigError("a feed-forward of the dynamics needs q_bar of algorithm 2, not adaptation=shape")
         if not isinstance(kinematic.backbone, PCCBackbone):

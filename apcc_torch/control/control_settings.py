@@ -9,6 +9,7 @@ from typing import Any, Self
 from apcc_torch.control.inverse_kinematics import InverseKinematicsSettings
 from apcc_torch.control.length_bounds import LengthBoundsSettings
 from apcc_torch.control.length_law import LengthLaw
+from apcc_torch.control.pressure import PressureControlSettings
 from apcc_torch.control.shape_law import ShapeLawSettings
 from apcc_torch.control.task_integral import TaskIntegralSettings
 from apcc_torch.errors import ConfigError
@@ -71,6 +72,9 @@ class ControlSettings(Settings):
     bounds: LengthBoundsSettings = setting(factory=LengthBoundsSettings, meaning="of pi_hat, whatever the laws say")
     integral: TaskIntegralSettings | None = setting(
         None, "", PAPER, "integral action on the task error; null: none, Eq. (14)"
+    )
+    pressure: PressureControlSettings = setting(
+        factory=PressureControlSettings, meaning="from lengths to pressures, of an arm with chambers"
     )
 
     def with_keys(self, changes: Mapping[str, Any]) -> Self:

@@ -14,9 +14,10 @@ from apcc_torch.control.control_settings import ControllerSettings, ControlSetti
 from apcc_torch.control.inverse_kinematics import InverseKinematics
 from apcc_torch.control.length_bounds import LengthBounds
 from apcc_torch.control.length_law import LawStep, LengthLaw, adapted
+from apcc_torch.control.pressure import PressureControl
+from apcc_torch.control.reference import moved
 from apcc_torch.control.step_io import Command, ControllerState, Measurement, Target, check_step, measured_tip
 from apcc_torch.control.task_integral import TaskIntegral
-from apcc_torch.control.tendon_limits import SolverStatus
 from apcc_torch.errors import ConfigError
 from apcc_torch.estimation.feedback import FeedbackStatus, Inference
 from apcc_torch.estimation.pose_filter import PoseFilter, PoseFilterState
@@ -53,6 +54,7 @@ class APCCController(Part):
         pose_filter: Of the sensors' poses, before all that sees them but the tip's error; None for none.
         integral: Integral action beside K e of Eq. (14); None for none.
         shape: Of q_bar where the controller is adaptive; None for algorithm 2.
+        pressure: From lengths to the pressures of chambers; None for tendons.
 
     Raises:
         ConfigError, ValueRangeError: A setting is wrong or out of range.
@@ -87,6 +89,7 @@ class APCCController(Part):
         pose_filter: PoseFilter | None = None,
         integral: TaskIntegral | None = None,
         shape: ShapeFeedback | None = None,
+        pressure: PressureControl | None = None,
         **changes: Any,
     ) -> None:
         super().__init__()
@@ -99,7 +102,7 @@ class APCCController(Part):
         self.bounds = bounds
         self.pose_filter = pose_filter
         self.integral = integral
-        self.shape = shape if s.adaptive else None
+        self.shape, self.pressure = (shape if s.adaptive else None), pressure
         if self.shape is not None and any(law.needs_sensitivity for law in self.laws):
             raise ConfigError("a law along the derivative of algorithm 2's q_bar cannot run beside a law of the shape")
         if self.shape is None and feedback.kinds is not None:
@@ -137,6 +140,7 @@ class APCCController(Part):
             pose_filter=None if control.pose_filter is None else PoseFilter(control.pose_filter),
             integral=None if control.integral is None else TaskIntegral(control.integral),
             shape=None if law is None else law.shape_feedback(arm, backbone),
+            pressure=PressureControl.on(arm, control.pressure),
             **parts,
         )
 
@@ -173,7 +177,11 @@ class APCCController(Part):
         expected = None if poses is None else poses.initial_state(q, self.feedback.abscissae.shape[-1])
         integral = None if self.integral is None else still[..., :3]
         shape, q_d = (None, q) if self.shape is None else self.shape.start(q, pi_hat)
-        return ControllerState(q, still, pi_hat, q_d, still, filtered, stamp, memories, expected, integral, shape)
+        y = self.tendons(q_d, pi_hat)
+        pressure = None if self.pressure is None or y is None else self.pressure.initial_state(y)
+        return ControllerState(
+            q, still, pi_hat, q_d, still, filtered, stamp, memories, expected, integral, shape, pressure
+        )
 
     def forward(
         self, state: ControllerState, measurement: Measurement, target: Target
@@ -215,19 +223,11 @@ class APCCController(Part):
         wanted = e if integral is None else e + integral
         reference = ReferenceBounds.of(self.backbone.coordinates, self.bend_bound, self.elongation_bound)
         bounds = None if reference is None else reference.rates(state.q_d, dt)
+        if self.pressure is not None and state.pressure is not None:
+            bounds = self.pressure.bounds(state.pressure, self.backbone.coordinates, bounds)
         driven = self._driven(q_bar, pi_hat, chain, shape, batch)
         qdot, limits = self._solve(state, measurement, target, *driven, wanted, dt, bounds)
-        # Where nothing is known of the arm, or of the target, it is told to stay.
-        aimed = torch.isfinite(qdot).all(-1) & torch.isfinite(e).all(-1)
-        qdot = torch.where((aimed & valid).unsqueeze(-1), qdot, 0.0)
-        wished = state.q_d + dt.unsqueeze(-1) * qdot
-        q_d = wished if reference is None else reference.held(wished)
-        limits = torch.where(aimed, SolverStatus.FREE if limits is None else limits, SolverStatus.NOT_FINITE)
-        if bounds is not None:
-            held = ((qdot == bounds.lower) | (qdot == bounds.upper) | (q_d != wished)).any(-1)
-            limits = torch.where(held & (limits == SolverStatus.FREE), int(SolverStatus.LIMITED), limits)
-        # A step that is not finite is not taken: one bad measurement or target must not stay in the integral.
-        q_d = torch.where(torch.isfinite(q_d) & valid.unsqueeze(-1), q_d, state.q_d)
+        qdot, q_d, limits = moved(state.q_d, qdot, dt, e, valid, reference, bounds, limits)
         memories = state.memories
         if self.adaptive and self.laws:
             rows = {
@@ -248,14 +248,15 @@ class APCCController(Part):
                 dq_dpi=dq_dpi,
             )
             pi_hat, memories = adapted(self.laws, self.bounds, step, memories, valid)
-        y = self.tendons(q_d - self.reference_damping * qdot_bar, pi_hat)
+        y, p, pressure = self.tendons(q_d - self.reference_damping * qdot_bar, pi_hat), None, state.pressure
+        if self.pressure is not None and y is not None and pressure is not None:
+            pressure, p = self.pressure(pressure, y, self.tendons(driven[0], state.pi_hat), dt)
         if self.pose_filter is not None and expected is not None:
             expected = self.pose_filter.moved(expected, self.backbone, inference.problem.points, q_bar, q_d - state.q_d)
-        stamp = measurement.time.expand_as(dt)
-        later = ControllerState(
-            q_bar, qdot_bar, pi_hat, q_d, qdot, filtered, stamp, memories, expected, integral, shape
+        later = (q_bar, qdot_bar, pi_hat, q_d, qdot, filtered, measurement.time.expand_as(dt), memories, expected)
+        return ControllerState(*later, integral, shape, pressure), Command(
+            qdot, q_d, y, e, inference.feedback, limits, pressure=p
         )
-        return later, Command(qdot, q_d, y, e, inference.feedback, limits)
 
     def _inferred(
         self, state: ControllerState, measurement: Measurement, T: Tensor, dt: Tensor
@@ -264,7 +265,9 @@ class APCCController(Part):
         masks = measurement.mask, measurement.angular_mask
         if self.shape is None or state.shape is None:
             return None, self.feedback.infer(state.q_bar, state.pi_hat, T, *masks)
-        y = self.tendons(state.q_d, state.pi_hat) if measurement.tendons is None else measurement.tendons
+        y = measurement.tendons
+        if y is None and self.pressure is None:
+            y = self.tendons(state.q_d, state.pi_hat)
         told = T, *masks, y, dt, measurement.curvature
         return self.shape.infer(self.feedback, state.shape, state.q_bar, state.pi_hat, *told)
 

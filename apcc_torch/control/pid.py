@@ -85,14 +85,26 @@ class TendonPID(Part):
 
 
 class TendonReference(NamedTuple):
-    """Reference of the tendon loop: y_d (..., n_a) m, ydot_d (..., n_a) m/s and force, a feed-forward (..., n_a) N."""
+    """What tendons or chambers are told.
+
+    y_d: (..., n_a) m, ydot_d: (..., n_a) m/s and force, a feed-forward (..., n_a) N: the reference of the tendon loop.
+    pressure: (..., n_a) Pa commanded, of chambers, which have no such loop; None of tendons.
+    """
 
     y_d: Tensor
     ydot_d: Tensor
     force: Tensor | None = None
+    pressure: Tensor | None = None
 
 
-def ramp(previous: Tensor, y: Tensor, share: float, period: float, force: Tensor | None = None) -> TendonReference:
+def ramp(
+    previous: Tensor,
+    y: Tensor,
+    share: float,
+    period: float,
+    force: Tensor | None = None,
+    pressure: Tensor | None = None,
+) -> TendonReference:
     """The reference between two commands: a straight line over one control period.
 
     Args:
@@ -101,5 +113,6 @@ def ramp(previous: Tensor, y: Tensor, share: float, period: float, force: Tensor
         share: Part of the period that has passed, 0 to 1.
         period: Control period, s.
         force: (..., n_a) feed-forward during the period, N; None for none.
+        pressure: (..., n_a) commanded during the period, Pa; None of tendons.
     """
-    return TendonReference(torch.lerp(previous, y, share), (y - previous) / period, force)
+    return TendonReference(torch.lerp(previous, y, share), (y - previous) / period, force, pressure)

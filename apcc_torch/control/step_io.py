@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from apcc_torch.control.length_law import Memory
+from apcc_torch.control.pressure import PressureState
 from apcc_torch.control.tasks import TaskTarget
 from apcc_torch.estimation.feedback import Feedback
 from apcc_torch.estimation.pose_filter import PoseFilterState
@@ -27,7 +28,7 @@ class Measurement(NamedTuple):
     tip: (..., 3) measured end-effector position, m; None to take the last sensor's.
     forces: (..., n_a) tendon forces u at the stamp, N, tension is -u; None where they are not measured.
     tendons: (..., n_a) tendon length changes at the stamp, m, NaN where one is not known; None to take those that the
-        last command asked for.
+        last command asked for, but of chambers, whose lengths are not known then.
     curvature: (..., n_c, 2) at the places of `Arm.curvature_sensors`, towards x and y of the axes there, 1/m, NaN where
         it is not known; None where nothing measures it.
     """
@@ -66,6 +67,7 @@ class Command(NamedTuple):
     limits: (...) int64 `SolverStatus` of the velocity. LIMITED: a coordinate of q_d is held at its bound, or the
         tendons' limits matter. NOT_FINITE: the target is not, and the row holds its q_d.
     force: (..., n_a) feed-forward of the tendon loop, N; None without a model of the dynamics.
+    pressure: (..., n_a) of the chambers, Pa; None of an arm without chambers.
     """
 
     qdot: Tensor
@@ -75,6 +77,7 @@ class Command(NamedTuple):
     feedback: Feedback
     limits: Tensor | None = None
     force: Tensor | None = None
+    pressure: Tensor | None = None
 
 
 class ControllerState(NamedTuple):
@@ -91,6 +94,7 @@ class ControllerState(NamedTuple):
     expected: Where a `PoseFilter` expects the sensors; None without one.
     integral: (..., 3) z of a `TaskIntegral`, m; None without one.
     shape: What a `ShapeFeedback` knows; None without one.
+    pressure: What a `PressureControl` remembers; None without one.
     """
 
     q_bar: Tensor
@@ -104,6 +108,7 @@ class ControllerState(NamedTuple):
     expected: PoseFilterState | None = None
     integral: Tensor | None = None
     shape: FollowedShape | None = None
+    pressure: PressureState | None = None
 
 
 def check_step(

@@ -22,7 +22,8 @@ from apcc_torch.model.integrators import ArmState
 from apcc_torch.part import Part, part_of
 from apcc_torch.reading import read_part
 from apcc_torch.settings import OURS, Settings, resolved, setting
-from apcc_torch.simulation.plant import Plant, PlantSettings, PlantState
+from apcc_torch.simulation.plant import Plant, PlantSettings
+from apcc_torch.simulation.plant_state import PlantState
 
 PLANT = {"substeps": 1}
 """How the plant of an environment differs from a simulation's: one step of 10 ms stays within 0.1 mm of sixteen."""

@@ -32,7 +32,7 @@ from apcc_torch.part import Part
 from apcc_torch.reading import read
 from apcc_torch.settings import OURS, resolved, setting
 from apcc_torch.simulation.divergence import Divergence, DivergenceSettings, stretch
-from apcc_torch.simulation.plant import PlantState
+from apcc_torch.simulation.plant_state import PlantState
 
 
 @dataclass(frozen=True, kw_only=True)

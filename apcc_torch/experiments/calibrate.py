@@ -11,7 +11,7 @@ import torch
 from apcc_torch.composition.build_realtime import RealtimeBuilder
 from apcc_torch.composition.calibrated import calibrated, lasting_settings
 from apcc_torch.composition.realtime import RealtimeSettings
-from apcc_torch.errors import HardwareError
+from apcc_torch.errors import HardwareError, SafetyError
 from apcc_torch.experiments.folder import versions
 from apcc_torch.files import write_json
 from apcc_torch.hardware.calibration_file import ArmCalibration
@@ -83,6 +83,8 @@ def measured(settings: RealtimeSettings, devices: Devices, request: StopRequest)
     base = None if sensor.base is None else sensor.base.tolist()
     signs = None
     if c.check_signs:
+        if actuator.sets_pressure:
+            raise SafetyError("calibration.check_signs pulls tendons, and this arm has chambers: leave it out")
         check = SignCheck(
             actuator, sensor, clock, pull_directions(build), build.limits(), settings.guards.effort_cap, c.pull,
             settings.loop.period, request,

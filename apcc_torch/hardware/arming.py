@@ -28,8 +28,12 @@ def arm(setup: Setup, journal: Journal) -> Array:
         check()
     loop, limits = setup.loop, setup.limits
     reading = setup.actuator.read()
-    if not limits.inside(reading.y, loop.arm_margin):
-        raise SafetyError(f"the tendons are at {reading.y} m, outside their range {limits.lower} to {limits.upper}")
+    margin = loop.arm_margin if limits.margin is None else limits.margin
+    if not limits.inside(reading.y, margin):
+        raise SafetyError(
+            f"the {limits.what} are at {limits.shown(reading.y)}, outside their range {limits.shown(limits.lower)} to "
+            f"{limits.shown(limits.upper)}"
+        )
     took = setup.control.warm_up(complete_frame(setup), reading.y, loop.warm_up, loop.period, setup.clock.now)
     journal.event("warm_up", f"first controller step {1e3 * took[0]:.1f} ms, last {1e3 * took[-1]:.2f} ms")
     if setup.prepared is not None:
@@ -43,8 +47,8 @@ def arm(setup: Setup, journal: Journal) -> Array:
     setup.actuator.arm()
     after = setup.actuator.read()
     moved = float(np.abs(after.y - before.y).max())
-    if not moved <= loop.arm_margin:
-        raise SafetyError(f"a tendon moved by {1e3 * moved:.2f} mm as torque went on")
+    if not moved <= margin:
+        raise SafetyError(f"one of the {limits.what} moved by {limits.shown(moved)} as torque went on")
     return setup.actuator.rounded(limits.nearest(after.y), limits.lower, limits.upper)
 
 

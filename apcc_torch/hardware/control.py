@@ -36,7 +36,7 @@ def blank_step(controller: APCCController, pi_hat: Tensor) -> tuple[ControllerSt
         torch.eye(4, dtype=pi_hat.dtype).expand(k, 4, 4),
         torch.zeros(controller.routing.n_tendons, dtype=pi_hat.dtype),
     )
-    measurement = Measurement(T, time, every, every, tendons=y)
+    measurement = Measurement(T, time, every, every, tendons=y if controller.pressure is None else None)
     return controller.initial_state(q, pi_hat, time), measurement, Target(zero, zero)
 
 
@@ -46,6 +46,7 @@ class Decision:
 
     time: s since the start, of the measurement. x_d, xdot_d, e: (3,) m, m/s, m. y: (n_a,) wanted length changes, m.
     q_bar, qdot, q_d: (3 n_b,). pi_hat: (n_b,) m. status: `FeedbackStatus`. angular_error, linear_error: (k,) rad, m.
+    pressure: (n_a,) wanted of chambers, Pa; None of tendons.
     """
 
     time: float
@@ -61,6 +62,12 @@ class Decision:
     iterations: int
     angular_error: Array
     linear_error: Array
+    pressure: Array | None = None
+
+    @property
+    def command(self) -> Array:
+        """(n_a,) what the actuator is asked for: pressures of chambers, Pa, else lengths, m."""
+        return self.y if self.pressure is None else self.pressure
 
 
 @dataclass(frozen=True)
@@ -92,6 +99,7 @@ class Control:
             raise ConfigError("the controller of an arm needs a tendon routing")
         self.controller = controller
         self.n_tendons = controller.routing.n_tendons
+        self.sets_pressure = controller.pressure is not None
         self.n_bodies = controller.feedback.abscissae.shape[-1]
         self.trajectory = trajectory
         self.pi_hat = pi_hat
@@ -107,7 +115,7 @@ class Control:
             torch.tensor(time, dtype=torch.float64),
             torch.from_numpy(frame.position_ok),
             torch.from_numpy(frame.orientation_ok),
-            tendons=torch.from_numpy(lengths).to(self.pi_hat.dtype),
+            tendons=None if self.sets_pressure else torch.from_numpy(lengths).to(self.pi_hat.dtype),
         )
 
     def warm_up(
@@ -159,7 +167,7 @@ class Control:
 
         Args:
             frame: A usable frame.
-            lengths: (n_a,) measured length changes of the tendons, m.
+            lengths: (n_a,) measured length changes of the tendons, m; not used of chambers, which have none.
             time: The frame's stamp, s since the start.
             target: Where to go; None for the trajectory's.
 
@@ -188,6 +196,7 @@ class Control:
             int(feedback.iterations),
             numbers(feedback.angular_error),
             numbers(feedback.linear_error),
+            None if command.pressure is None else numbers(command.pressure),
         )
 
 

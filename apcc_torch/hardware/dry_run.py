@@ -17,6 +17,12 @@ class DryRunActuator(TendonActuator):
     def __init__(self, actuator: TendonActuator) -> None:
         self.actuator = actuator
         self.n_tendons = actuator.n_tendons
+        self.pressures = actuator.sets_pressure
+
+    @property
+    def sets_pressure(self) -> bool:  # type: ignore[override]
+        """As the device."""
+        return self.pressures
 
     def connect(self) -> None:
         """Opens the device; torque stays off."""

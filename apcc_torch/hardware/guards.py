@@ -10,7 +10,7 @@ import numpy as np
 
 from apcc_torch.hardware.control import Decision
 from apcc_torch.hardware.interfaces import TendonReading
-from apcc_torch.hardware.limits import CommandLimits, CommandLimitSettings
+from apcc_torch.hardware.limits import CommandLimits, CommandLimitSettings, PressureLimitSettings
 from apcc_torch.hardware.sensing import SensingSettings
 from apcc_torch.hardware.stops import Ending, Stop, StopReason
 from apcc_torch.settings import OURS, PAPER, Settings, check_choice, setting
@@ -21,6 +21,9 @@ class GuardSettings(Settings):
     """What ends a run; null switches a guard off. Times suit a simulated arm on a busy machine."""
 
     limits: CommandLimitSettings = setting(factory=CommandLimitSettings, meaning="clamps of every command")
+    pressures: PressureLimitSettings = setting(
+        factory=PressureLimitSettings, meaning="of an arm with chambers, in place of `limits`"
+    )
     sensing: SensingSettings = setting(factory=SensingSettings, meaning="frames and bodies to believe")
     arrival_error: float | None = setting(1e-3, "m", PAPER, "a set-point is reached", above=0)
     arrival_dwell: float = setting(0.5, "s", OURS, "that the error has to stay below", least=0)
@@ -99,8 +102,11 @@ class Guards:
         """Judges a reading at `now`, s."""
         s = self.settings
         self.failed_reads = 0
-        if not self.limits.inside(reading.y, s.range_margin):
-            return Stop(StopReason.TENDON_RANGE, f"measured lengths {_mm(reading.y)} mm have left their range")
+        limits = self.limits
+        if not limits.inside(reading.y, s.range_margin if limits.margin is None else limits.margin):
+            return Stop(
+                StopReason.TENDON_RANGE, f"measured {limits.what} {limits.shown(reading.y)} have left their range"
+            )
         largest, smallest = float(reading.effort.max()), float(reading.effort.min())
         if s.effort_cap is not None and not largest <= s.effort_cap:
             tendon = int(reading.effort.argmax()) + 1
@@ -118,8 +124,9 @@ class Guards:
     def on_decision(self, decision: Decision, now: float) -> Stop | None:
         """Judges a control step at `now`, s."""
         s = self.settings
-        if not np.isfinite(decision.y).all():
-            return Stop(StopReason.COMMAND_NOT_FINITE, f"the controller wants lengths {_mm(decision.y)} mm")
+        if not np.isfinite(decision.command).all():
+            said = f"the controller wants {self.limits.what} {self.limits.shown(decision.command)}"
+            return Stop(StopReason.COMMAND_NOT_FINITE, said)
         error = float(np.linalg.norm(decision.e))
         if s.max_error is not None and not error <= s.max_error:
             return Stop(StopReason.DIVERGENCE, f"the position error is {error:.3f} m, the limit {s.max_error:g} m")
@@ -169,7 +176,3 @@ class Guards:
         if longest is None or seconds <= longest:
             return None
         return Stop(StopReason.PAUSED, f"the loop stood still for {seconds:.3f} s, the limit is {longest:g} s")
-
-
-def _mm(y: np.ndarray) -> list[float]:
-    return [round(float(v), 2) for v in 1e3 * y]

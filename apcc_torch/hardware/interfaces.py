@@ -4,7 +4,7 @@ A driver is a class of its own: `hardware.actuator.kind` and `hardware.sensor.ki
 class of its settings. It may import its maker's library where it stands; `check_library` says what is missing.
 
 Tendon length changes follow y = B^T q: negative where a tendon is pulled in, zero at the calibrated zero of the hanging
-arm. Stamps are `time.monotonic()` seconds.
+arm. Stamps are `time.monotonic()` seconds. The pressures of chambers go the same way, see `PressureActuator`.
 """
 
 from __future__ import annotations
@@ -90,10 +90,12 @@ class TendonActuator(Device):
     Attributes:
         n_tendons: Number of tendons n_a.
         needs_calibration: Whether a run has to name a calibration.
+        sets_pressure: Whether it is told pressures, Pa, and not lengths.
     """
 
     n_tendons: int
     needs_calibration: ClassVar[bool] = True
+    sets_pressure: ClassVar[bool] = False
 
     @abstractmethod
     def connect(self) -> None:
@@ -137,6 +139,17 @@ class TendonActuator(Device):
     @abstractmethod
     def disconnect(self) -> None:
         """Torque off, then closes the device. Safe to call in any state."""
+
+
+class PressureActuator(TendonActuator):
+    """Regulators that set the gauge pressures of chambers: p (n_a,) Pa stands wherever `TendonActuator` has lengths.
+
+    `hold` keeps the pressures that there are. `torque_off` vents: every chamber is told no pressure, and the arm drops.
+    Nothing has to be calibrated, for a gauge has its own zero: `calibrate` and `restore` take what tells the device.
+    """
+
+    needs_calibration: ClassVar[bool] = False
+    sets_pressure: ClassVar[bool] = True
 
 
 @dataclass(frozen=True)

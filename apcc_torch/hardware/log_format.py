@@ -138,15 +138,17 @@ class Layouts(NamedTuple):
     timing: Layout
 
 
-def layouts(n: int, n_b: int, k: int, n_a: int) -> Layouts:
+def layouts(n: int, n_b: int, k: int, n_a: int, pressures: bool = False) -> Layouts:
     """The layouts of an arm.
 
     Args:
         n: Coordinates of the configuration.
         n_b: Sections of the model.
         k: Bodies.
-        n_a: Tendons.
+        n_a: Tendons, or chambers.
+        pressures: Whether these are chambers, which are told pressures.
     """
+    unit, what = ("Pa", "pressures") if pressures else ("m", "length changes")
     start = (
         _float("zero", "s, the zero of `time` on the clock of the run"),
         _float("first", "s, the controller's stamp before its first measurement"),
@@ -184,11 +186,11 @@ def layouts(n: int, n_b: int, k: int, n_a: int) -> Layouts:
         TICK,
         TIME,
         _float("stamp", "s since the start, of the reading"),
-        _float("y", "m, measured length changes", n_a),
-        _float("ydot", "m/s", n_a),
+        _float("y", f"{unit}, measured {what}", n_a),
+        _float("ydot", f"{unit}/s", n_a),
         _float("effort", "N", n_a),
-        _float("requested", "m, as the controller wants", n_a),
-        _float("sent", "m, as it was really sent", n_a),
+        _float("requested", f"{unit}, as the controller wants", n_a),
+        _float("sent", f"{unit}, as it was really sent", n_a),
         _int("fresh", "1: sent in this turn"),
         _int("read", "1: read in this turn; 0: the numbers are the last reading's"),
     )

@@ -146,7 +146,7 @@ class Loop:
         tick.control = clock.now() - began
         halt_if(self.guards.on_decision(tick.decision, clock.now()))
         if self.setup.sensing.in_time(frame, clock.now()):
-            self.requested = tick.requested = tick.decision.y
+            self.requested = tick.requested = tick.decision.command
 
     def _send(self, tick: Tick) -> None:
         """Sends what the limits leave of the last wish: one out of reach is approached turn by turn."""

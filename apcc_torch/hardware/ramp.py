@@ -24,7 +24,9 @@ from apcc_torch.spread import spread
 class RampSettings(Settings):
     """Where the tendons go in an experiment of kind tendons: from zero to the goal, and on there."""
 
-    goal: tuple[float, ...] | None = setting(None, "m", PAPER, "one length change a tendon")
+    goal: tuple[float, ...] | None = setting(
+        None, "m", PAPER, "one length change a tendon; of chambers one pressure each, Pa"
+    )
     duration: float = setting(10.0, "s", OURS, "from zero to the goal", above=0)
     estimate: tuple[float, ...] | None = setting(
         None, "m", PAPER, "pi_hat of the decoupled estimators; null: none", above=0
@@ -76,4 +78,5 @@ class RampControl(Control):
         if target is None:
             tip = torch.tensor(frame.T[-1, :3, 3], dtype=self.pi_hat.dtype)
             target = Target(tip, torch.zeros_like(tip))
-        return replace(super().decide(frame, lengths, time, target), y=self.ramp.at(time))
+        decision, way = super().decide(frame, lengths, time, target), self.ramp.at(time)
+        return replace(decision, pressure=way) if self.sets_pressure else replace(decision, y=way)

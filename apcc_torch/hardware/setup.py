@@ -75,6 +75,9 @@ class Setup:
             raise ConfigError(
                 f"the controller has {n_a} tendons, the actuator {tendons}, the limits {self.limits.lower.shape[0]}"
             )
+        if self.actuator.sets_pressure != self.control.sets_pressure:
+            has, sets = ("lengths", "pressures") if self.actuator.sets_pressure else ("pressures", "lengths")
+            raise ConfigError(f"the arm is driven by {has}, and the actuator sets {sets}: see arm.chambers")
         if self.sensor.n_bodies != self.control.n_bodies:
             raise ConfigError(
                 f"the controller wants {self.control.n_bodies} bodies, the sensor sees {self.sensor.n_bodies}"

@@ -59,7 +59,8 @@ class Summary:
         if tick.reading is not None:
             self.effort = max(self.effort, float(tick.reading.effort.max()))
         if tick.fresh and tick.decision is not None:
-            self.clamped += bool(np.abs(tick.sent - tick.requested).max() > 1e-4)
+            close = 1e-4 if tick.decision.pressure is None else 500.0  # m, or Pa
+            self.clamped += bool(np.abs(tick.sent - tick.requested).max() > close)
         if tick.decision is not None and tick.frame is not None:
             self._error(tick.decision.time, float(np.linalg.norm(tick.decision.e)))
             self._decision(tick.decision, tick.frame.sequence)

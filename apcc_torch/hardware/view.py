@@ -54,10 +54,12 @@ def picture(tick: Tick | None, last: Tick | None, event: Event | None, full: flo
         lines.append(f"target    {row(decision.x_d, 1e3)} mm")
         lines.append(f"pi-hat    {row(decision.pi_hat, 1e3)} mm")
         lines.append(f"residual  {row(decision.linear_error, 1e3)} mm a body")
+    pressures = decision is not None and decision.pressure is not None
+    name, scale, unit = ("pressure", 1e-3, "kPa") if pressures else ("tendons ", 1e3, "mm")
     if tick.reading is not None:
         lines.append(f"tension   {row(tick.reading.effort, 1.0)} N")
-        lines.append(f"tendons   {row(tick.reading.y, 1e3)} mm")
-    lines.append(f"sent      {row(tick.sent, 1e3)} mm")
+        lines.append(f"{name}  {row(tick.reading.y, scale)} {unit}")
+    lines.append(f"sent      {row(tick.sent, scale)} {unit}")
     late = f"late      {1e6 * tick.lateness:8.0f} us   missed deadlines {tick.overruns}, failed exchanges {tick.failed}"
     lines.append(late)
     if last is not None and last.latency is not None:

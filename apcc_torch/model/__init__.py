@@ -9,6 +9,7 @@ from apcc_torch.model.abscissae import decouple
 from apcc_torch.model.affine import AffineBackbone, AffineSettings
 from apcc_torch.model.arm import Arm
 from apcc_torch.model.backbone import PCCBackbone
+from apcc_torch.model.chambers import ChamberForce, Chambers
 from apcc_torch.model.constant_strain import ConstantStrainBackbone, ConstantStrainSettings
 from apcc_torch.model.coordinates import Coordinate, Coordinates
 from apcc_torch.model.dynamics import SoftArmDynamics
@@ -32,6 +33,8 @@ __all__ = [
     "Arm",
     "ArmState",
     "ChainSettings",
+    "ChamberForce",
+    "Chambers",
     "ConstantStrainBackbone",
     "ConstantStrainSettings",
     "Coordinate",

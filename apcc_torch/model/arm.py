@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, fields, make_dataclass
+from dataclasses import dataclass
 from math import pi
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import torch
 import yaml
@@ -20,6 +20,7 @@ from apcc_torch.model.arm_path import arm_path
 from apcc_torch.model.arm_placement import Placement
 from apcc_torch.model.arm_tendons import Actuation, Tendons
 from apcc_torch.model.backbone import HANGING, PCCBackbone
+from apcc_torch.model.chambers import Chambers
 from apcc_torch.model.dynamics import SoftArmDynamics
 from apcc_torch.model.kinematic_model import KinematicModel
 from apcc_torch.model.places import check_places
@@ -97,6 +98,9 @@ class Arm(Settings):
         choices=("coupled", "independent"),
     )
     tendons: Tendons = setting(factory=Tendons, meaning="the tendons one by one, where racks do not say it")
+    chambers: Chambers | None = setting(
+        None, "", OURS, "pressure chambers that drive the arm in place of tendons; null: none"
+    )
     actuation: Actuation = setting(factory=Actuation, meaning="what drives the tendons")
     mass: Setting = setting(1.0, "kg", PAPER, "of the whole arm, spread by length", rows="number", above=0)
     masses: Lengths | None = setting(
@@ -151,10 +155,16 @@ class Arm(Settings):
                 if getattr(self, name) is not None:
                     spread(name, getattr(self, name), n_b)
         with checks.one():
-            self.tendons.check_on(n_b, self._n_racked)
+            if self.chambers is None:
+                self.tendons.check_on(n_b, self._n_racked)
+            else:
+                self.chambers.check_on(n_b)
         with checks.one():
             self.actuation.check_on(self.n_tendons)
-        for name, offset in {"tendon_offset": self.tendon_offset, "tendons.offsets": self.tendons.offsets}.items():
+        offsets = {"tendon_offset": self.tendon_offset, "tendons.offsets": self.tendons.offsets}
+        if self.chambers is not None:
+            offsets = {"chambers.offsets": self.chambers.offsets}
+        for name, offset in offsets.items():
             for number in numbers_in(offset):
                 with checks.one():
                     if not holds(number < end):
@@ -173,8 +183,8 @@ class Arm(Settings):
 
     @property
     def n_tendons(self) -> int:
-        """Number of tendons n_a."""
-        return self.tendons.count(self._n_racked)
+        """Number of tendons, or of chambers, n_a."""
+        return self.tendons.count(self._n_racked) if self.chambers is None else self.chambers.count(self.n_sections)
 
     @property
     def _n_racked(self) -> int:
@@ -217,7 +227,9 @@ class Arm(Settings):
         return kind(self.n_sections, self.base_rotation(), **settings)
 
     def routing(self) -> TendonRouting:
-        """Its tendons."""
+        """Its tendons; of an arm with chambers these, which push where tendons would pull."""
+        if self.chambers is not None:
+            return self.chambers.routing(self.rest_lengths())
         tips = self.rest_lengths().cumsum(-1)
         racks = tips if self.racks is None else vector(self.racks)
         offset = aligned(self.tendon_offset, 1)
@@ -302,29 +314,3 @@ class Arm(Settings):
 def vector(values: Lengths) -> Tensor:
     """Numbers as a tensor, float64 unless they are one."""
     return values if isinstance(values, Tensor) else torch.tensor(values, dtype=torch.float64)
-
-
-if TYPE_CHECKING:
-
-    class ArmChanges(Settings):
-        """What differs on an arm from what is believed of it; None: nothing."""
-
-else:
-    ArmChanges = make_dataclass(
-        "ArmChanges",
-        [
-            (e.name, str(e.type).replace(" | None", "") + " | None", field(default=None, metadata=e.metadata))
-            for e in fields(Arm)
-        ],
-        bases=(Settings,),
-        namespace={"__doc__": "What differs on an arm from what is believed of it; None: nothing."},
-        frozen=True,
-        kw_only=True,
-    )
-    ArmChanges.__module__ = __name__
-
-
-def with_changes(arm: Arm, changes: ArmChanges) -> Arm:
-    """The arm with those of the changes that are not None."""
-    values = {each.name: getattr(changes, each.name) for each in fields(changes)}
-    return arm.changed(**{name: value for name, value in values.items() if value is not None})

@@ -20,8 +20,8 @@ def strain_at_rest(arm: Arm) -> Tensor:
     """Bends, rad, and elongations, m, of an arm's sections (..., n) where its inputs are zero, without its weight.
 
     The least of the elastic energy of arm and tendons, (q - q_rest)^T K (q - q_rest) + sum k max(s + B^T q, 0)^2,
-    with the pre-stretch s and the stiffness k of the tendons; tendons whose tensions are set hold nothing. Carries no
-    gradient.
+    with the pre-stretch s and the stiffness k of the tendons; tendons whose tensions are set hold nothing, nor do
+    chambers, at whose pressure of rest the arm is measured. Carries no gradient.
 
     Args:
         arm: Its rest bends, stiffness, tendons and their pre-stretch.
@@ -39,7 +39,7 @@ def strain_at_rest(arm: Arm) -> Tensor:
         rest = torch.nn.functional.pad(bends, (0, 1)).flatten(-2).expand_as(K)
         k = spread("stiffness", arm.actuation.stiffness, arm.n_tendons).to(B)
         s = spread("pre_stretch", arm.actuation.pre_stretch, arm.n_tendons).to(B)
-        if arm.actuation.sets == "tension" or bool((s + rest @ B <= 0.0).all()):
+        if arm.chambers is not None or arm.actuation.sets == "tension" or bool((s + rest @ B <= 0.0).all()):
             return rest
         shares, q = SHARES.to(B).unsqueeze(-1), rest.unsqueeze(-2)
 

@@ -76,7 +76,9 @@ def _draw_around(ax: Axes, arm: Arm) -> None:
     anchors = style.values(routing.anchors)
     racks = np.unique(anchors)
     offset = MM * float(routing.offsets.max())
-    style.dress(ax, "x (mm)", "y (mm)", f"{routing.n_tendons} tendons, {routing.layout}")
+    what = "tendons" if arm.chambers is None else "chambers"
+    title = f"{routing.n_tendons} {what}" + (f", {routing.layout}" if arm.chambers is None else "")
+    style.dress(ax, "x (mm)", "y (mm)", title)
     ring = np.linspace(0.0, 2.0 * pi, 200)
     ax.plot(offset * np.cos(ring), offset * np.sin(ring), color=style.GRID, linewidth=1.2, zorder=1.0)
     ax.plot(0.0, 0.0, "o", color=style.TRUE, markersize=9.0)
@@ -97,7 +99,7 @@ def _draw_around(ax: Axes, arm: Arm) -> None:
     ax.set_aspect("equal", adjustable="box")
     ax.set_xlim(-1.4 * offset, 1.4 * offset)
     ax.set_ylim(-1.4 * offset, 1.4 * offset)
-    style.legend(ax, loc="upper center", bbox_to_anchor=(0.5, -0.14), ncols=2, title="tendons by number")
+    style.legend(ax, loc="upper center", bbox_to_anchor=(0.5, -0.14), ncols=2, title=f"{what} by number")
 
 
 def _mass(arm: Arm) -> str:

@@ -23,7 +23,8 @@ from apcc_torch.model.curvature import curvature_weights, middle_curvature
 from apcc_torch.native.compiled import MODES, compiled
 from apcc_torch.part import Part, hold_rows, refuse_parameter, untrained
 from apcc_torch.settings import OURS, Settings, setting
-from apcc_torch.simulation.plant import Plant, PlantState
+from apcc_torch.simulation.plant import Plant
+from apcc_torch.simulation.plant_state import PlantState
 from apcc_torch.simulation.progress import Progress, quiet
 from apcc_torch.simulation.rollout import rollout
 from apcc_torch.simulation.sensors import Draws, PoseSensors, SensorState
@@ -49,8 +50,9 @@ class DynamicLog(NamedTuple):
 
     time: (T,) s. x_d, x: (T, R, 3) m. q_true: (T, R, 3 n_t). q_bar, q_d: (T, R, n). pi_hat: (T, R, n_b) m.
     angular_error, linear_error: (T, R, k) rad, m. status: (T, R) `FeedbackStatus`. y, y_d: (T, R, n_a) m.
-    u: (T, R, n_a) N. theta_hat: (T, R, p) parameters of the dynamics, `dynamics_regressor.PARAMETERS`; p = 0 where the
-    controller has none. diverged_at: (R,) int64 control step at which a row left its bounds, -1 if it did not.
+    u: (T, R, n_a) N. pressure: (T, R, n_a) Pa, true ones of chambers; of tendons (T, R, 0). theta_hat: (T, R, p)
+    parameters of the dynamics, `dynamics_regressor.PARAMETERS`; p = 0 where the controller has none. diverged_at: (R,)
+    int64 control step at which a row left its bounds, -1 if it did not.
     """
 
     time: Tensor
@@ -66,6 +68,7 @@ class DynamicLog(NamedTuple):
     y: Tensor
     y_d: Tensor
     u: Tensor
+    pressure: Tensor
     theta_hat: Tensor
     diverged_at: Tensor
 
@@ -73,7 +76,8 @@ class DynamicLog(NamedTuple):
 class LoopState(NamedTuple):
     """All that a closed loop remembers: the true arm, the controller, the sensors, the last command y (R, n_a), m.
 
-    u: (R, n_a) tendon forces now, N, for a controller that measures them; None for others.
+    u: (R, n_a) tendon forces now, N, for a controller that measures them; None for others. pressure: (R, n_a) the last
+    command to chambers, Pa; None of tendons.
     """
 
     plant: PlantState
@@ -81,6 +85,7 @@ class LoopState(NamedTuple):
     sensors: SensorState
     y: Tensor
     u: Tensor | None = None
+    pressure: Tensor | None = None
 
 
 class ClosedLoop(Part):
@@ -96,7 +101,7 @@ class ClosedLoop(Part):
         curvature_places: (..., n_c) abscissae where curvature is measured, m; None for nowhere.
 
     Raises:
-        ConfigError: The controller has no routing.
+        ConfigError: The controller has no routing, or does not drive what the plant is driven by.
     """
 
     X_tilde: Tensor
@@ -116,6 +121,8 @@ class ClosedLoop(Part):
         super().__init__()
         if controller.routing is None:
             raise ConfigError("the controller of a dynamic simulation needs a tendon routing")
+        if (plant.valves is None) != (not isinstance(controller, APCCController) or controller.pressure is None):
+            raise ConfigError("a plant with chambers needs a controller that sets pressures, and only it takes them")
         self.plant = plant
         self.controller = controller
         self.sensors = sensors
@@ -160,9 +167,9 @@ class ClosedLoop(Part):
         u = None
         if isinstance(controller, CompositeController):
             # What held the settled arm: its tendons at their zero lengths.
-            zero = torch.zeros_like(arm.z)
-            u = self.plant.forces(arm, TendonReference(zero, zero))
-        return LoopState(arm, state, self.sensors.initial_state(T, self.curvature(arm.arm.q), generator), y, u)
+            u = self.plant.forces(arm, self.plant.at_rest(arm.z))
+        seen = self.sensors.initial_state(T, self.curvature(arm.arm.q), generator)
+        return LoopState(arm, state, seen, y, u, self.plant.at_rest(arm.z).pressure)
 
     def blank(self) -> tuple[LoopState, Tensor, Tensor, Draws]:
         """Arguments of the form that one row has: what a compiler needs to see."""
@@ -176,7 +183,7 @@ class ClosedLoop(Part):
         chance = torch.Generator(T.device)
         sensors = self.sensors.initial_state(T, self.curvature(arm.arm.q), chance)
         u = y if isinstance(self.controller, CompositeController) else None
-        now = LoopState(arm, state, sensors, y, u)
+        now = LoopState(arm, state, sensors, y, u, self.plant.at_rest(y).pressure)
         return now, zero, k, self.draw(T[(None,) * self.sensors.shared], chance)
 
     def draw(self, T: Tensor, generator: torch.Generator | None) -> Draws:
@@ -196,14 +203,17 @@ class ClosedLoop(Part):
         plant, arm = self.plant, now.plant
         sensors, seen = self.sensors.sense(now.sensors, self.poses(arm.arm.q), self.curvature(arm.arm.q), draws)
         target, lengths = self.trajectory(time), plant.lengths(arm.arm.q)
-        pull = plant.forces(arm, ramp(now.y, now.y, 0.0, self.period)) if self.sensors.stretches else None
-        tendons = self.sensors.measured_tendons(lengths, pull, draws)
+        tendons, p = None, arm.held[..., :0]
+        if plant.valves is None:  # chambers carry nothing that measures their lengths
+            pull = plant.forces(arm, self._reference(now, now.y, 0.0)) if self.sensors.stretches else None
+            tendons = self.sensors.measured_tendons(lengths, pull, draws)
+        else:
+            p = arm.held
         measurement = Measurement(seen.T, time, seen.mask, forces=now.u, tendons=tendons, curvature=seen.curvature)
         state, command = self.controller(now.controller, measurement, target)
-        y = command.y
+        y, told = command.y, (command.force, command.pressure)
         assert y is not None  # the controller has a routing
-        force = command.force
-        u = plant.forces(arm, ramp(now.y, y, 0.0, self.period, force))
+        u = plant.forces(arm, self._reference(now, y, 0.0, *told))
         x = plant.backbone.tip(arm.arm.q, plant.dynamics.lengths)
         feedback = command.feedback
         row = (
@@ -219,14 +229,21 @@ class ClosedLoop(Part):
             lengths,
             now.y,
             u,
+            p,
         )
         for i in range(plant.substeps):
-            reference = ramp(now.y, y, (i + 1) / plant.substeps, self.period, force)
+            reference = self._reference(now, y, (i + 1) / plant.substeps, *told)
             arm = plant.advance(arm, reference, self.period / plant.substeps, k)
         measured = None
         if now.u is not None:
-            measured = plant.forces(arm, ramp(now.y, y, 1.0, self.period, force))
-        return LoopState(arm, state, sensors, y, measured), row
+            measured = plant.forces(arm, self._reference(now, y, 1.0, *told))
+        return LoopState(arm, state, sensors, y, measured, command.pressure), row
+
+    def _reference(
+        self, now: LoopState, y: Tensor, share: float, force: Tensor | None = None, pressure: Tensor | None = None
+    ) -> TendonReference:
+        """What motors or valves are told after a share of the period in which y (..., n_a) m is commanded."""
+        return ramp(now.y, y, share, self.period, force, pressure)
 
 
 def simulate_dynamic(

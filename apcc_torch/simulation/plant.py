@@ -1,16 +1,20 @@
-"""The true arm of section V-B: many sections under tendons, whose lengths a PID loop holds. Fig. 10 [Dalenberg]."""
+"""The true arm of section V-B: many sections under tendons, whose lengths a PID loop holds. Fig. 10 [Dalenberg].
+
+An arm with chambers is the same arm: their pressures are forces on the same B, and there is no loop on their lengths.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, NamedTuple, Self
+from typing import Any, Self
 
 import torch
 from torch import Tensor
 
 from apcc_torch.control.pid import TendonPID, TendonPIDSettings, TendonReference
 from apcc_torch.errors import ConfigError
-from apcc_torch.model.arm import Arm, ArmChanges, with_changes
+from apcc_torch.model.arm import Arm
+from apcc_torch.model.arm_changes import ArmChanges, with_changes
 from apcc_torch.model.arm_dynamics import ArmDynamics
 from apcc_torch.model.equation_of_motion import EquationOfMotion
 from apcc_torch.model.friction import TendonTransmission, TendonTransmissionSettings
@@ -19,24 +23,13 @@ from apcc_torch.model.tendons import TendonRouting
 from apcc_torch.native.compiled import Step, compiled
 from apcc_torch.part import Part, hold_rows, refuse_parameter
 from apcc_torch.reading import keyed
-from apcc_torch.settings import MANY, OURS, PAPER, Setting, Settings, aligned, is_on, resolved, setting
+from apcc_torch.settings import MANY, OURS, PAPER, Setting, Settings, aligned, resolved, setting
 from apcc_torch.simulation.events import ArmEvents, ArmEventsSettings
+from apcc_torch.simulation.plant_state import PlantState
+from apcc_torch.simulation.play import played
 from apcc_torch.simulation.rollout import rollout
 from apcc_torch.simulation.true_places import PlaceErrors
-
-
-class PlantState(NamedTuple):
-    """The true arm.
-
-    z: (R, n_a) integral of its tendon loop, m s. diverged_at: (R,) int64, see `DynamicLog`. time: (R,) s since it had
-    settled. held: (R, n_a) to where the motors have drawn the tendons, m.
-    """
-
-    arm: ArmState
-    z: Tensor
-    diverged_at: Tensor
-    time: Tensor
-    held: Tensor
+from apcc_torch.simulation.valves import Valves
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,6 +81,7 @@ class Plant(Part):
         payload: (..., R) tip mass, kg.
         *settings, **changes: See `PlantSettings`.
         transmission: Slack and dry friction; None for that of the settings.
+        valves: Of chambers, which drive the arm in place of tendons on motors; None for these.
 
     Raises:
         ConfigError: The dynamics' base rotation is batched.
@@ -118,6 +112,7 @@ class Plant(Part):
         payload: Tensor,
         *settings: Any,
         transmission: TendonTransmission | None = None,
+        valves: Valves | None = None,
         **changes: Any,
     ) -> None:
         super().__init__()
@@ -126,10 +121,14 @@ class Plant(Part):
             raise ConfigError("base_rotation of the plant must be one (3, 3) rotation, shared by all rows")
         self.dynamics = dynamics
         self.routing = routing
+        if valves is not None:  # nothing but their pressure acts on the arm: no loop, no guides, no play
+            pid, transmission = TendonPID(K_P=0.0, K_I=0.0, K_D=0.0), None
+            s = s.changed(pid=pid.settings, tendon_damping=0.0, backlash=0.0, transmission=None)
         self.pid = TendonPID(s.pid) if pid is None else pid
         if transmission is None and s.transmission is not None:
             transmission = TendonTransmission(routing, s.transmission)
         self.transmission = transmission
+        self.valves = valves
         self.events = ArmEvents(dynamics.n_sections, s.events)
         self.backbone = dynamics.kinematics()
         self.hold(s)
@@ -152,15 +151,23 @@ class Plant(Part):
             settings: Of `settings_type`.
         """
         true = settings.true_arm(arm)
-        return cls(cls.dynamics_of(true, settings), true.routing(), None, payload, settings)
+        valves = None if true.chambers is None else Valves.of(true)
+        return cls(cls.dynamics_of(true, settings), true.routing(), None, payload, settings, valves=valves)
 
     @staticmethod
     def dynamics_of(arm: Arm, settings: Any) -> ArmDynamics:
         """The dynamics of a true arm, with its plant's own settings."""
         return arm.dynamics(settings.refine)
 
+    @property
+    def sets_pressure(self) -> bool:
+        """Whether chambers drive it."""
+        return self.valves is not None
+
     def limp(self) -> Self:
-        """The same arm without torque on its motors: its tendons are dragged along."""
+        """The same arm without torque on its motors: its tendons are dragged along. Chambers are vented by command."""
+        if self.valves is not None:
+            return self
         loose = TendonPID(K_P=0.0, K_I=0.0, K_D=0.0)
         rest = {"transmission": None, "pid": TendonPIDSettings()}
         settings = self.settings.changed(**rest)
@@ -186,24 +193,22 @@ class Plant(Part):
 
     def forces(self, now: PlantState, reference: TendonReference) -> Tensor:
         """Forces u (..., n_a) of the tendon loop, N, with the motors at a reference."""
-        return self._forces(now.arm, now.z, self._transmitted(now, reference))
+        return self._forces(now.arm, now.z, self._transmitted(now, reference, 0.0))
+
+    def at_rest(self, z: Tensor) -> TendonReference:
+        """Tendons, of the form of z (..., n_a), at their zero lengths, and chambers at their pressures of rest."""
+        rest = None if self.valves is None else self.valves.at_rest.to(z).expand_as(z)
+        return TendonReference(torch.zeros_like(z), torch.zeros_like(z), pressure=rest)
 
     def _forces(self, state: ArmState, z: Tensor, reference: TendonReference) -> Tensor:
         y, ydot = self.lengths(state.q), self.lengths(state.qdot)
         return self.pid(z, y, ydot, reference.y_d, reference.ydot_d, reference.force)
 
-    def _transmitted(self, now: PlantState, reference: TendonReference) -> TendonReference:
-        """What the tendons get of the motors' reference: the play operator [Krasnosel'skii and Pokrovskii, 1989].
-
-        A tendon stays where it was drawn until its motor has crossed the play, and is taken along from then on.
-        """
-        if not is_on(self.backlash):
-            return reference
-        half = 0.5 * aligned(self.backlash, 1)
-        low, high = reference.y_d - half, reference.y_d + half
-        held = torch.maximum(torch.minimum(now.held, high), low)
-        rate = torch.where((held == low) | (held == high), reference.ydot_d, 0.0)
-        return reference._replace(y_d=held, ydot_d=rate)
+    def _transmitted(self, now: PlantState, reference: TendonReference, dt: float) -> TendonReference:
+        """What reaches the arm, dt seconds later, of what motors or valves are told."""
+        if self.valves is not None:
+            return self.valves.transmitted(now.held, reference, dt)
+        return played(now.held, reference, self.backlash)
 
     def step(self, now: PlantState, reference: TendonReference, dt: float) -> PlantState:
         """One plant step of order 2: linearly implicit Euler over dt and twice over dt/2, extrapolated.
@@ -220,15 +225,16 @@ class Plant(Part):
             The true arm after the step; whether it diverged is not looked at.
         """
         half, state, time = 0.5 * dt, now.arm, now.time
-        reference = self._transmitted(now, reference)
-        midway = reference._replace(y_d=reference.y_d - half * reference.ydot_d)
+        midway, reference = (self._transmitted(now, reference, each) for each in (half, dt))
+        midway = midway._replace(y_d=reference.y_d - half * reference.ydot_d)
         payload = self.events.payload(self.payload, time)
         equation = self.dynamics.equation(state.q, state.qdot, payload)
         whole, z_whole = self._euler(state, now.z, reference, dt, payload, time + dt, equation)
         middle, z_middle = self._euler(state, now.z, midway, half, payload, time + half, equation)
         halves, z_halves = self._euler(middle, z_middle, reference, half, payload, time + dt, None)
         later = ArmState(2.0 * halves.q - whole.q, 2.0 * halves.qdot - whole.qdot)
-        return PlantState(later, 2.0 * z_halves - z_whole, now.diverged_at, time + dt, reference.y_d)
+        held = reference.y_d if reference.pressure is None else reference.pressure
+        return PlantState(later, 2.0 * z_halves - z_whole, now.diverged_at, time + dt, held)
 
     def _euler(
         self,
@@ -278,7 +284,7 @@ class Plant(Part):
             return straight
         one = PlantStep(self, dt)
         step = compiled(one, one.blank(), compile, self.payload.numel(), carries=True)
-        held = TendonReference(straight.z, straight.z)
+        held = self.at_rest(straight.z)
         # Nothing happens to the arm before its clock starts.
         start = straight._replace(time=straight.time - steps * dt)
         if checkpointed:
@@ -293,7 +299,8 @@ class Plant(Part):
         q = torch.zeros(*batch, self.backbone.n, dtype=lengths.dtype, device=lengths.device)
         z = torch.zeros(*batch, self.B.shape[-1], dtype=lengths.dtype, device=lengths.device)
         good = torch.full(batch, -1, dtype=torch.int64, device=lengths.device)
-        return PlantState(ArmState(q, q), z, good, q.new_zeros(batch), z)
+        held = self.at_rest(z).pressure
+        return PlantState(ArmState(q, q), z, good, q.new_zeros(batch), z if held is None else held)
 
 
 class PlantStep(Part):
@@ -312,7 +319,7 @@ class PlantStep(Part):
     def blank(self) -> tuple[PlantState, TendonReference]:
         """Arguments of the form that one row has: what a compiler needs to see."""
         now = self.plant.straight(())
-        return now, TendonReference(now.z, now.z)
+        return now, self.plant.at_rest(now.z)
 
     def forward(self, now: PlantState, reference: TendonReference) -> PlantState:
         """The arm one step later."""

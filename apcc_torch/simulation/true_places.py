@@ -48,7 +48,10 @@ class PlaceErrors(Settings):
                 raise ValueRangeError(f"sensors must leave every sensor on the arm, got {places.tolist()} m")
             changes["true_sensors"] = places if places.dim() > 1 else tuple(places.tolist())
         if _is_off(self.tendons):
-            if arm.tendons.offsets is not None:
+            if arm.chambers is not None:
+                offsets = spread("chambers.offsets", arm.chambers.offsets, arm.n_tendons) + aligned(self.tendons, 1)
+                changes["chambers"] = arm.chambers.changed(offsets=offsets)
+            elif arm.tendons.offsets is not None:
                 offsets = spread("tendons.offsets", arm.tendons.offsets, arm.n_tendons) + aligned(self.tendons, 1)
                 changes["tendons"] = arm.tendons.changed(offsets=offsets)
             else:

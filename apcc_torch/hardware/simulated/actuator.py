@@ -9,7 +9,7 @@ from typing import Any, Self
 import numpy as np
 
 from apcc_torch.errors import CommunicationError, DataError, DeviceFaultError, HardwareError
-from apcc_torch.hardware.interfaces import Array, TendonActuator, TendonReading
+from apcc_torch.hardware.interfaces import Array, PressureActuator, TendonActuator, TendonReading
 from apcc_torch.hardware.simulated.board import Mode
 from apcc_torch.hardware.simulated.world import SimulatedWorld, simulated
 from apcc_torch.hardware.world import World
@@ -27,6 +27,7 @@ class SimulatedActuatorSettings(Settings):
     resolution: float = setting(
         1.5e-5, "m", OURS, "tendon in one encoder tick: 4096 to a turn of a 10 mm spool", above=0
     )
+    pressure_resolution: float = setting(50.0, "Pa", OURS, "of a regulator, on an arm with chambers", above=0)
 
 
 class SimulatedActuator(TendonActuator):
@@ -49,8 +50,10 @@ class SimulatedActuator(TendonActuator):
 
     @classmethod
     def in_world(cls, settings: Settings, world: World) -> Self:
-        """The motors of the world's arm."""
-        return cls(simulated(world), settings)
+        """The motors of the world's arm; of one with chambers, their regulators."""
+        lives: Any = SimulatedRegulators if simulated(world).arm.sets_pressure else cls
+        made: Self = lives(simulated(world), settings)
+        return made
 
     def connect(self) -> None:
         """Begins the arm's time; it hangs on its stand."""
@@ -134,3 +137,20 @@ class SimulatedActuator(TendonActuator):
 
     def _ticks(self, y: Array) -> Array:
         return np.rint(y / self.resolution)
+
+
+class SimulatedRegulators(SimulatedActuator, PressureActuator):
+    """The same for chambers: pressures in whole steps, which the simulated valves follow.
+
+    Args:
+        world: Where the arm lives.
+        given, changes: Settings.
+    """
+
+    def __init__(self, world: SimulatedWorld, *given: Any, **changes: Any) -> None:
+        super().__init__(world, *given, **changes)
+        self.resolution = resolved(SimulatedActuatorSettings, given, changes).pressure_resolution
+
+    def calibrate(self) -> dict[str, object]:
+        """Nothing is measured: a gauge has its own zero."""
+        return {"pascal_per_step": self.resolution}

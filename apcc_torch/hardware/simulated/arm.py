@@ -29,6 +29,8 @@ class PlantNow(Protocol):
     def z(self) -> Tensor: ...
     @property
     def diverged_at(self) -> Tensor: ...
+    @property
+    def held(self) -> Tensor: ...
     def _replace(self, *, z: Tensor = ..., held: Tensor = ...) -> Self: ...
 
 
@@ -40,6 +42,9 @@ class TruePlant(Protocol):
 
     @property
     def dynamics(self) -> ArmDynamics: ...
+    @property
+    def sets_pressure(self) -> bool: ...
+    def at_rest(self, z: Tensor) -> TendonReference: ...
     @property
     def backbone(self) -> KinematicModel: ...
     def limp(self) -> Self: ...
@@ -60,7 +65,9 @@ class SimulatedArm:
     """The arm. It is handed to its process before `begin`, so nothing in it depends on the process.
 
     The plant's tendon loop is the compliance between a motor and the arm: encoders read the motor's side, which runs
-    to its goal at a bounded speed. Without torque the motors are dragged along, and the arm drops.
+    to its goal at a bounded speed. Without torque the motors are dragged along, and the arm drops. Of an arm with
+    chambers the board holds pressures, Pa, in place of lengths: valves let them follow the goal, and vent them without
+    torque; on the stand they are those of rest.
 
     Args:
         plant: The true arm, one row.
@@ -99,6 +106,7 @@ class SimulatedArm:
         self.n_bodies = abscissae.shape[-1]
         self.n_tendons = plant.B.shape[-1]
         self.n = plant.backbone.n
+        self.sets_pressure = plant.sets_pressure
         self.motor_speed, self.frame_rate = inf, 0.0
         self.time = 0.0
         self.next_frame = 0.0
@@ -112,7 +120,7 @@ class SimulatedArm:
         # Here, as compiled code does not travel between processes.
         self.held, self.dragged = self.steppers()
         self.now = self.plant.settled(self.settle, self.step, self.compile)
-        self.reference = torch.zeros_like(self.now.z)
+        self.reference = self.now.held if self.sets_pressure else torch.zeros_like(self.now.z)
         self.rate = torch.zeros_like(self.now.z)
         self.generator = torch.Generator().manual_seed(self.seed)
         self.sensor_state = self.sensors.initial_state(self._poses(self.now.arm.q))
@@ -124,7 +132,9 @@ class SimulatedArm:
         return self.plant.backbone.pose(q, self.plant.dynamics.lengths, self.X_tilde, self.j)
 
     def _tensions(self) -> Tensor:
-        """(1, n_a) on the motors' side, N."""
+        """(1, n_a) on the motors' side, N; no regulator tells any."""
+        if self.sets_pressure:
+            return torch.zeros_like(self.rate)
         return self.plant.tensions(self.now, TendonReference(self.reference, self.rate))
 
     def _put(self, board: Board, effort: Tensor) -> None:
@@ -141,12 +151,18 @@ class SimulatedArm:
         """
         dt = self.step
         before = self.now
-        if mode is Mode.LIMP:
-            still = torch.zeros_like(self.reference)
-            later = self.dragged(before, TendonReference(still, still))
+        if self.sets_pressure:
+            still = self.plant.at_rest(before.z)
+            told = {Mode.STAND: still.pressure, Mode.POWERED: torch.from_numpy(goal).to(before.z).unsqueeze(0)}
+            self.now = self.held(before, still._replace(pressure=told.get(mode, torch.zeros_like(before.z))))
+            self.reference, self.rate = self.now.held, (self.now.held - before.held) / dt
+            effort = self._tensions()
+        elif mode is Mode.LIMP:
+            zero = torch.zeros_like(self.reference)
+            later = self.dragged(before, TendonReference(zero, zero))
             self.reference = self.plant.lengths(later.arm.q)
             self.rate = self.plant.lengths(later.arm.qdot)
-            self.now = later._replace(z=still, held=self.reference)
+            self.now = later._replace(z=zero, held=self.reference)
             effort = torch.zeros_like(self.rate)
         else:
             wish = torch.from_numpy(goal).to(self.reference).unsqueeze(0)

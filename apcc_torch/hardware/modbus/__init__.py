@@ -1,0 +1,1 @@
+"""Proportional pressure regulators over Modbus TCP."""
