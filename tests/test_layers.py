@@ -30,6 +30,7 @@ LAYERS: tuple[tuple[str, ...], ...] = (
     ("part", "web_address"),
     ("classes",),
     ("reading",),
+    ("repetition",),
     ("native",),
     ("linalg",),
     ("lie",),

@@ -1,5 +1,7 @@
 // Arithmetic on LANES rows at once. REAL, INTEGER (of REAL's width) and LANES come from the generated program.
 // A comparison of vectors gives a vector of masks, of single numbers a truth value; both serve as conditions below.
+#include <atomic>
+#include <chrono>
 #include <cmath>
 #include <cstring>
 #include <thread>

@@ -9,8 +9,8 @@ from importlib.resources import files
 import torch
 
 from apcc_torch.native.driver import driver
-from apcc_torch.native.layout import ARRAY, STATEMENTS, TYPE, Layout, counted, laid_out, places
-from apcc_torch.native.scalars import BOOL, FLOAT, INT, Expression
+from apcc_torch.native.layout import ARRAY, TYPE, Layout, Part, Rounds, counted, kept_as, laid_out, places
+from apcc_torch.native.scalars import BOOL, FLOAT, INT, Expression, Loop
 from apcc_torch.native.trace import Trace
 from apcc_torch.native.values import kind_of
 
@@ -57,14 +57,14 @@ def program(trace: Trace, lanes: int, dtype: torch.dtype, carried: list[tuple[in
     """
     layout = laid_out(trace)
     writer = _Writer(trace, layout)
-    functions = [writer.part(k) for k in range(writer.parts)]
+    functions = [writer.part(part) for part in layout.parts]
     header = "\n".join(
         (_prologue(lanes, dtype), files(__package__).joinpath("lanes.hpp").read_text(), writer.structs())
     )
     groups: list[list[str]] = [[] for _ in range(max(1, min(files_wanted, len(functions))))]
     for k, text in enumerate(functions):
         groups[k % len(groups)].append(text)
-    groups[0].append(driver(trace, writer.parts, carried))
+    groups[0].append(driver(trace, len(layout.parts), "\n".join(writer.calls(layout.program)), carried))
     return Source(header, ["\n".join(group) for group in groups], lanes, writer.numbers)
 
 
@@ -73,17 +73,18 @@ class _Writer:
 
     def __init__(self, trace: Trace, layout: Layout) -> None:
         self.layout = layout
+        self.scalars = trace.scalars
         self.expressions = trace.scalars.expressions
         self.numbers: list[float] = []
-        self._named = {index: f"t{k}" for k, index in enumerate(layout.order)}
+        self._named = {index: f"t{k}" for k, index in enumerate(layout.part_of)}
         self._number_of: dict[int, int] = {}
-        self.parts = 1 + (len(layout.order) - 1) // STATEMENTS if layout.order else 1
         starts, self.inputs = places(trace.inputs)
         self.places = [
             start + i for leaf, start in zip(trace.inputs, starts, strict=True) for i in range(counted(leaf))
         ]
         self.targets: dict[int, list[str]] = {}
         self.plain: list[str] = []  # results that no statement computes
+        last = layout.parts[-1]
         starts, self.outputs = places(trace.outputs)
         for leaf, start, row in zip(trace.outputs, starts, trace.results, strict=True):
             for k, index in enumerate(row, start):
@@ -91,7 +92,7 @@ class _Writer:
                 if index in layout.part_of:
                     self.targets.setdefault(index, []).append(place)
                 else:
-                    self.plain.append(f"{place} = {self._splatted(index, -1)};")
+                    self.plain.append(f"{place} = {self._splatted(index, last)};")
 
     def structs(self) -> str:
         """What the parts share: their types and their names."""
@@ -99,24 +100,57 @@ class _Writer:
         for name, sizes in {"Inputs": self.inputs, "Scratch": self.layout.sizes, "Outputs": self.outputs}.items():
             fields = " ".join(f"{TYPE[k]} {ARRAY[k]}[{max(n, 1)}];" for k, n in sizes.items())
             lines.append(f"struct {name} {{ {fields} }};")
-        lines += [f"{_SIGNATURE.format(k)};" for k in range(self.parts)]
+        lines += [f"{_SIGNATURE.format(part.number)};" for part in self.layout.parts]
         return "\n".join(lines)
 
-    def part(self, k: int) -> str:
+    def calls(self, program: list[Part | Rounds]) -> list[str]:
+        """The parts in the order in which they run."""
+        lines = []
+        for item in program:
+            if isinstance(item, Part):
+                lines.append(f"part_{item.number}(in, numbers, s, out);")
+                continue
+            loop = self.scalars.loops[item.loop]
+            more = f"any(s.b[{self.layout.slots[loop.variables[loop.going or 0]]}])"
+            lines.append(f"for (int n{item.loop} = 0; n{item.loop} < {loop.times} && {more}; ++n{item.loop}) {{")
+            lines += [f"    {line}" for line in self.calls(item.body)]
+            lines.append("}")
+        return lines
+
+    def part(self, part: Part) -> str:
         """One function: its share of the statements."""
-        lines = [f"__attribute__((noinline)) {_SIGNATURE.format(k)} {{"]
-        for index in self.layout.order[k * STATEMENTS : (k + 1) * STATEMENTS]:
+        lines = [f"__attribute__((noinline)) {_SIGNATURE.format(part.number)} {{"]
+        for index in part.statements:
             expression = self.expressions[index]
             name = self._named[index]
-            lines.append(f"const {TYPE[expression.kind]} {name} = {self._formula(expression, k)};")
+            lines.append(f"const {TYPE[expression.kind]} {name} = {self._formula(expression, part)};")
             if index in self.layout.slots:
-                lines.append(f"s.{ARRAY[expression.kind]}[{self.layout.slots[index]}] = {name};")
+                lines.append(f"{self._slot(index)} = {name};")
             lines += [f"{place} = {name};" for place in self.targets.get(index, ())]
-        if k == self.parts - 1:
+        for number in part.begins:
+            loop = self.scalars.loops[number]
+            lines += self._handed_on(number, loop, loop.initial, part)
+        if part.carries is not None:
+            loop = self.scalars.loops[part.carries]
+            lines += self._handed_on(part.carries, loop, loop.results, part)
+        if part is self.layout.parts[-1]:
             lines += self.plain
         return "\n".join((*lines, "}"))
 
-    def _formula(self, expression: Expression, part: int) -> str:
+    def _handed_on(self, number: int, loop: Loop, values: list[int], part: Part) -> list[str]:
+        """A loop's state becomes these values: all are read before one is written."""
+        read, written = [], []
+        for k in self.layout.places[number]:
+            if values[k] != loop.variables[k]:
+                kind = self.expressions[loop.variables[k]].kind
+                read.append(f"const {TYPE[kind]} next{number}_{k} = {self._splatted(values[k], part)};")
+                written.append(f"{self._slot(loop.variables[k])} = next{number}_{k};")
+        return read + written
+
+    def _slot(self, index: int) -> str:
+        return f"s.{ARRAY[self.expressions[index].kind]}[{self.layout.slots[index]}]"
+
+    def _formula(self, expression: Expression, part: Part) -> str:
         op, operands = expression.op, expression.operands
         if op in _INFIX:
             a, b = (self._name(i, part) for i in operands)
@@ -130,7 +164,7 @@ class _Writer:
             return f"{op}_{'int' if expression.kind == INT else ''}({', '.join(whole)})"
         return f"{_CALLS.get(op, op + '_')}({', '.join(whole)})"
 
-    def _name(self, index: int, part: int) -> str:
+    def _name(self, index: int, part: Part) -> str:
         expression = self.expressions[index]
         if expression.op == "input":
             return f"in.{ARRAY[expression.kind]}[{self.places[int(expression.value or 0)]}]"
@@ -138,9 +172,9 @@ class _Writer:
             return _literal(expression)
         if expression.value is not None:
             return self._number(index)
-        if self.layout.part_of[index] == part:
+        if index not in self.scalars.entry_of and self.layout.part_of[index] is part:
             return self._named[index]
-        return f"s.{ARRAY[expression.kind]}[{self.layout.slots[index]}]"
+        return self._slot(kept_as(self.scalars, index))
 
     def _number(self, index: int) -> str:
         if index not in self._number_of:
@@ -148,7 +182,7 @@ class _Writer:
             self.numbers.append(float(self.expressions[index].value or 0.0))
         return f"k[{self._number_of[index]}]"
 
-    def _splatted(self, index: int, part: int) -> str:
+    def _splatted(self, index: int, part: Part) -> str:
         expression = self.expressions[index]
         name = self._name(index, part)
         plain = expression.value is not None and expression.op != "input"
