@@ -16,7 +16,7 @@ from torch import Tensor
 from apcc_torch.control.adaptive_dynamics import AdaptiveDynamics, AdaptiveDynamicsSettings, DynamicsEstimate
 from apcc_torch.control.bounds import within
 from apcc_torch.control.controller import APCCController
-from apcc_torch.control.step_io import Command, ControllerState, Measurement, Target
+from apcc_torch.control.step_io import Command, ControllerState, Measurement, Target, elapsed
 from apcc_torch.errors import ConfigError
 from apcc_torch.estimation.state_feedback import StateFeedback
 from apcc_torch.linalg import damped_pseudo_inverse
@@ -187,7 +187,7 @@ class CompositeController(Part):
         before = state.kinematic
         later, command = self.kinematic(before, measurement, target)
         q, qdot, pi_hat, q_d = later.q_bar, later.qdot_bar, later.pi_hat, later.q_d
-        dt = (later.time - before.time).clamp(0.0, self.kinematic.integration_limit).to(q.dtype)
+        dt = elapsed(before.time, later.time, self.kinematic.integration_limit, q)
         elapsed, step = (dt > 0).unsqueeze(-1), dt.clamp(min=1e-9).unsqueeze(-1)
         share = 1.0 - torch.exp(-dt / self.reference_time).unsqueeze(-1)
         rate = torch.lerp(state.rate, torch.where(elapsed, (q_d - before.q_d) / step, 0.0), share)

@@ -40,6 +40,11 @@ def blank_step(controller: APCCController, pi_hat: Tensor) -> tuple[ControllerSt
     return controller.initial_state(q, pi_hat, time), measurement, Target(zero, zero)
 
 
+def warmed_up(controller: APCCController, state: ControllerState, pi_hat: Tensor) -> Tensor:
+    """q (..., n) of the shape that a warm-up has found: what it made rest length is elongation of pi_hat again."""
+    return state.q_bar + controller.backbone.coordinates.on_elongations(state.pi_hat - pi_hat)
+
+
 @dataclass(frozen=True)
 class Decision:
     """One step of the controller.
@@ -143,9 +148,7 @@ class Control:
         Args:
             time: Stamp before the first measurement, s.
         """
-        # The shape stays: what the warm-up made rest length is elongation again.
-        learnt = self.state.pi_hat - self.pi_hat
-        q = self.state.q_bar + self.controller.backbone.coordinates.on_elongations(learnt)
+        q = warmed_up(self.controller, self.state, self.pi_hat)
         self.state = self._initial(q, self.pi_hat, time)
         return Start(numbers(q), numbers(self.pi_hat), time)
 

@@ -2,8 +2,6 @@
 // A comparison of vectors gives a vector of masks, of single numbers a truth value; both serve as conditions below.
 #include <cmath>
 #include <cstring>
-#include <thread>
-#include <vector>
 
 #if LANES == 1
 typedef REAL V;

@@ -9,7 +9,7 @@ from importlib.resources import files
 import torch
 
 from apcc_torch.native.driver import driver
-from apcc_torch.native.layout import ARRAY, STATEMENTS, TYPE, Layout, counted, laid_out, places
+from apcc_torch.native.layout import ARRAY, TYPE, Layout, counted, laid_out, places
 from apcc_torch.native.scalars import BOOL, FLOAT, INT, Expression
 from apcc_torch.native.trace import Trace
 from apcc_torch.native.values import kind_of
@@ -19,7 +19,10 @@ _INFIX = {
     "add": "+", "sub": "-", "mul": "*", "div": "/", "and": "&", "or": "|",
     "lt": "<", "le": "<=", "eq": "==", "ne": "!=",
 }  # fmt: skip
-_SIGNATURE = "void part_{}(const Inputs& in, const REAL* __restrict k, Scratch& s, Outputs& out)"
+_SIGNATURE = (
+    "void part_{}([[maybe_unused]] const Inputs& in, [[maybe_unused]] const REAL* __restrict k, "
+    "[[maybe_unused]] Scratch& s, [[maybe_unused]] Outputs& out)"
+)
 _LARGEST_OF_FORM = 16.0
 # The functions of lanes.hpp whose names differ from the operation's with an underscore behind it.
 _CALLS = {"float": "real", "int": "integer"}
@@ -45,6 +48,45 @@ class Source:
         return hashlib.sha256("\0".join((self.header, *self.parts)).encode()).hexdigest()[:32]
 
 
+@dataclass
+class Body:
+    """The statements of a trace.
+
+    structs: The types Inputs, Scratch and Outputs, and the functions' declarations.
+    functions: Each its share of the statements.
+    calls: What runs them, with `in`, `numbers`, `s` and `out` at hand.
+    numbers: What they read in place of constants.
+    """
+
+    structs: str
+    functions: list[str]
+    calls: list[str]
+    numbers: list[float]
+
+
+def body(trace: Trace, loops: bool = False) -> Body:
+    """The statements of a trace, to stand behind `prologue`.
+
+    Args:
+        trace: From `traced`.
+        loops: Whether the rounds of a loop are written once, see `native.loops`.
+    """
+    writer = _Writer(trace, laid_out(trace, loops))
+    functions = [writer.part(k) for k in range(writer.parts)]
+    calls = writer.calls()
+    return Body(writer.structs(), functions, calls, writer.numbers)
+
+
+def prologue(lanes: int, dtype: torch.dtype) -> str:
+    """The arithmetic that statements are written in.
+
+    Args:
+        lanes: Rows at once; 1 for plain numbers.
+        dtype: What is computed in, float64 or float32.
+    """
+    return f"{_settings(lanes, dtype)}\n{files(__package__).joinpath('lanes.hpp').read_text()}"
+
+
 def program(trace: Trace, lanes: int, dtype: torch.dtype, carried: list[tuple[int, int]], files_wanted: int) -> Source:
     """The program of a trace.
 
@@ -55,17 +97,14 @@ def program(trace: Trace, lanes: int, dtype: torch.dtype, carried: list[tuple[in
         carried: Pairs (output, input): what a repetition hands to the next.
         files_wanted: How many files the parts are spread over.
     """
-    layout = laid_out(trace)
-    writer = _Writer(trace, layout)
-    functions = [writer.part(k) for k in range(writer.parts)]
-    header = "\n".join(
-        (_prologue(lanes, dtype), files(__package__).joinpath("lanes.hpp").read_text(), writer.structs())
-    )
-    groups: list[list[str]] = [[] for _ in range(max(1, min(files_wanted, len(functions))))]
-    for k, text in enumerate(functions):
+    made = body(trace)
+    # Before the settings, whose names a header may use as well.
+    header = f"#include <thread>\n#include <vector>\n{prologue(lanes, dtype)}\n{made.structs}"
+    groups: list[list[str]] = [[] for _ in range(max(1, min(files_wanted, len(made.functions))))]
+    for k, text in enumerate(made.functions):
         groups[k % len(groups)].append(text)
-    groups[0].append(driver(trace, writer.parts, carried))
-    return Source(header, ["\n".join(group) for group in groups], lanes, writer.numbers)
+    groups[0].append(driver(trace, made.calls, carried))
+    return Source(header, ["\n".join(group) for group in groups], lanes, made.numbers)
 
 
 class _Writer:
@@ -73,11 +112,11 @@ class _Writer:
 
     def __init__(self, trace: Trace, layout: Layout) -> None:
         self.layout = layout
-        self.expressions = trace.scalars.expressions
+        self.expressions = layout.expressions
         self.numbers: list[float] = []
-        self._named = {index: f"t{k}" for k, index in enumerate(layout.order)}
+        self._named = {index: f"t{k}" for k, index in enumerate(i for part in layout.parts for i in part)}
         self._number_of: dict[int, int] = {}
-        self.parts = 1 + (len(layout.order) - 1) // STATEMENTS if layout.order else 1
+        self.parts = len(layout.parts)
         starts, self.inputs = places(trace.inputs)
         self.places = [
             start + i for leaf, start in zip(trace.inputs, starts, strict=True) for i in range(counted(leaf))
@@ -85,7 +124,7 @@ class _Writer:
         self.targets: dict[int, list[str]] = {}
         self.plain: list[str] = []  # results that no statement computes
         starts, self.outputs = places(trace.outputs)
-        for leaf, start, row in zip(trace.outputs, starts, trace.results, strict=True):
+        for leaf, start, row in zip(trace.outputs, starts, layout.results, strict=True):
             for k, index in enumerate(row, start):
                 place = f"out.{ARRAY[kind_of(leaf.dtype)]}[{k}]"
                 if index in layout.part_of:
@@ -105,7 +144,7 @@ class _Writer:
     def part(self, k: int) -> str:
         """One function: its share of the statements."""
         lines = [f"__attribute__((noinline)) {_SIGNATURE.format(k)} {{"]
-        for index in self.layout.order[k * STATEMENTS : (k + 1) * STATEMENTS]:
+        for index in self.layout.parts[k]:
             expression = self.expressions[index]
             name = self._named[index]
             lines.append(f"const {TYPE[expression.kind]} {name} = {self._formula(expression, k)};")
@@ -115,6 +154,26 @@ class _Writer:
         if k == self.parts - 1:
             lines += self.plain
         return "\n".join((*lines, "}"))
+
+    def calls(self) -> list[str]:
+        """What runs the parts, a loop's as often as it has rounds."""
+        slots, lines = self.layout.slots, []
+        begins = {loop.first: loop for loop in self.layout.loops}
+        ends = {loop.last: loop for loop in self.layout.loops}
+        for k in range(self.parts):
+            if k in begins:
+                loop = begins[k]
+                for each in loop.handed:
+                    first = self._splatted(each.first, -1).replace("k[", "numbers[")
+                    lines.append(f"s.{ARRAY[self.expressions[each.carried].kind]}[{slots[each.carried]}] = {first};")
+                lines.append(f"for (int round = 0; round < {loop.rounds}; ++round) {{")
+            lines.append(f"part_{k}(in, numbers, s, out);")
+            if k in ends:
+                for each in ends[k].handed:
+                    array = f"s.{ARRAY[self.expressions[each.carried].kind]}"
+                    lines.append(f"{array}[{slots[each.carried]}] = {array}[{slots[each.next]}];")
+                lines.append("}")
+        return lines
 
     def _formula(self, expression: Expression, part: int) -> str:
         op, operands = expression.op, expression.operands
@@ -138,7 +197,7 @@ class _Writer:
             return _literal(expression)
         if expression.value is not None:
             return self._number(index)
-        if self.layout.part_of[index] == part:
+        if self.layout.part_of.get(index) == part:
             return self._named[index]
         return f"s.{ARRAY[expression.kind]}[{self.layout.slots[index]}]"
 
@@ -175,7 +234,7 @@ def _literal(expression: Expression) -> str:
     return {"inf": "(REAL)INFINITY", "-inf": "(REAL)-INFINITY", "nan": "(REAL)NAN"}.get(text, f"(REAL){text}")
 
 
-def _prologue(lanes: int, dtype: torch.dtype) -> str:
+def _settings(lanes: int, dtype: torch.dtype) -> str:
     double = dtype == torch.float64
     settings = {
         "LANES": lanes,
