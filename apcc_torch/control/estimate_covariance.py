@@ -58,12 +58,8 @@ def estimate_covariance(
     """
     masks = measurement.mask, measurement.angular_mask
     if controller.shape is None or before.shape is None:
-        return feedback_covariance(
-            controller.feedback, later.q_bar, before.pi_hat, noise.position, noise.angle, *masks
-        )
+        return feedback_covariance(controller.feedback, later.q_bar, before.pi_hat, noise.position, noise.angle, *masks)
     dt = elapsed(before.time, later.time, controller.integration_limit, later.q_bar)
     T = controller.filtered(before, measurement, dt)[1]
     y = controller.tendons(before.q_d, before.pi_hat) if measurement.tendons is None else measurement.tendons
-    return controller.shape.covariance(
-        controller.feedback, before.shape, before.q_bar, before.pi_hat, T, *masks, y, dt
-    )
+    return controller.shape.covariance(controller.feedback, before.shape, before.q_bar, before.pi_hat, T, *masks, y, dt)

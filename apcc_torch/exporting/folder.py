@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence as Listed
+from collections.abc import Iterator
 from importlib.resources import files
 from typing import Any, NamedTuple
 
@@ -27,7 +27,7 @@ TEMPLATES = {
 }
 """Template -> where its text goes."""
 TOLERANCE = {torch.float64: "1e-9", torch.float32: "2e-3"}
-"""By how much a step on another machine may be off, of numbers of order one: rounding, and the C library's functions."""
+"""By how much a step elsewhere may be off, of numbers of order one: rounding, and the C library's functions."""
 
 
 class Features(NamedTuple):
@@ -158,8 +158,3 @@ def _shown(library: Library) -> str:
             lines.append(f"    {member.name + size:<22} {unit}{member.words.meaning}")
         text.append("\n".join(lines))
     return "\n\n".join(text)
-
-
-def listed(library: Library) -> Listed[str]:
-    """The names of the functions in C."""
-    return [f"{library.prefix}_{each.function.name}" for each in library.compiled]

@@ -51,9 +51,9 @@ class Beginning(NamedTuple):
 class Answer(NamedTuple):
     """What a control step tells.
 
-    The command: y (n_a,) m, q_d and qdot (n,), force (n_a,) N or None. The estimate: q_bar (n,), pi_hat (n_b,) m, status
-    (), iterations (), angular_error and linear_error (k,), load () kg or None. e (3,) m and limits () as `Command` has
-    them.
+    The command: y (n_a,) m, q_d and qdot (n,), force (n_a,) N or None. The estimate: q_bar (n,), pi_hat (n_b,) m,
+    status (), iterations (), angular_error and linear_error (k,), load () kg or None. e (3,) m and limits () as
+    `Command` has them.
     """
 
     y: Tensor
@@ -303,7 +303,7 @@ def loop_function(pid: TendonPID, n_tendons: int, feed_forward: bool, like: Tens
     zero = torch.zeros(n_tendons, dtype=like.dtype)
     tendons = TendonInput(zero, zero, zero, zero, zero if feed_forward else None, torch.zeros_like(zero[0]))
     return Function(
-        "forces",
+        "loop_step",
         "One period of the loop on the tendons' lengths: the forces that it asks for.",
         TendonLoop(pid),
         ("loop", "tendons"),

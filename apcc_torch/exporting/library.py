@@ -9,10 +9,10 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
+from apcc_torch.control.tendon_limits import SolverStatus
 from apcc_torch.estimation.feedback import FeedbackStatus
 from apcc_torch.exporting.functions import Function
 from apcc_torch.exporting.structs import Struct, declared, leaves, struct
-from apcc_torch.control.tendon_limits import SolverStatus
 from apcc_torch.native.layout import ARRAY, places
 from apcc_torch.native.source import Body, body, prologue
 from apcc_torch.native.trace import Trace, traced
@@ -88,7 +88,9 @@ class Library:
         """The arguments of a function in C: what it takes, then what it gives beside."""
         takes, gives = each.function.takes, each.function.gives
         order = dict.fromkeys((*takes, *gives))
-        return [Parameter(name, self.structs.get(TYPES.get(name, name)), name in takes, name in gives) for name in order]
+        return [
+            Parameter(name, self.structs.get(TYPES.get(name, name)), name in takes, name in gives) for name in order
+        ]
 
     def signature(self, each: Compiled) -> str:
         """A function's declaration, without the semicolon."""
@@ -105,7 +107,7 @@ class Library:
         parts = [
             f"/* {self.origin}\n   Plain C. Nothing is allocated, nothing is kept outside of the structs. */",
             f"#ifndef {P}_H\n#define {P}_H\n\n#include <stdbool.h>\n#include <stdint.h>\n",
-            f'#ifdef __cplusplus\nextern "C" {{\n#endif\n',
+            '#ifdef __cplusplus\nextern "C" {\n#endif\n',
             f"typedef {real} {p}_real;\n",
             *_enums(P, p),
             *(f"{declared(made, p)}\n" for made in self.structs.values()),
@@ -162,9 +164,7 @@ class Library:
         ]
         return "\n".join(lines)
 
-    def _copies(
-        self, each: Compiled, names: Sequence[str], items: Sequence[Any], way: str, now: str
-    ) -> Iterator[str]:
+    def _copies(self, each: Compiled, names: Sequence[str], items: Sequence[Any], way: str, now: str) -> Iterator[str]:
         """Lines that bring structs into the statements' arrays, or back."""
         array = "in" if way == "take" else "out"
         tensors = each.trace.inputs if way == "take" else each.trace.outputs

@@ -11,12 +11,14 @@ from apcc_torch.errors import ConfigError
 from apcc_torch.settings import OURS, Settings, setting
 
 PRECISIONS = {"double": torch.float64, "single": torch.float32}
-KEYWORDS = frozenset(
-    "and asm auto bool break case catch char class const continue default delete do double else enum export extern "
-    "false float for friend goto if inline int long main mutable namespace new not operator or private protected "
-    "public register return short signed sizeof static std struct switch template this throw true try typedef union "
-    "unsigned using virtual void volatile while xor".split()
-)
+KEYWORDS = frozenset({
+    "and", "asm", "auto", "bool", "break", "case", "catch", "char", "class", "const", "continue", "default",
+    "delete", "do", "double", "else", "enum", "export", "extern", "false", "float", "for", "friend", "goto", "if",
+    "inline", "int", "long", "main", "mutable", "namespace", "new", "not", "operator", "or", "private", "protected",
+    "public", "register", "return", "short", "signed", "sizeof", "static", "std", "struct", "switch", "template",
+    "this", "throw", "true", "try", "typedef", "union", "unsigned", "using", "virtual", "void", "volatile", "while",
+    "xor",
+})  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,7 +27,11 @@ class LibrarySettings(Settings):
 
     name: str = setting("apcc", "", OURS, "of the library: files, functions and structs begin with it")
     precision: str = setting(
-        "double", "", OURS, "what it computes in: double; single, for processors without double", choices=("double", "single")
+        "double",
+        "",
+        OURS,
+        "what it computes in: double; single, for processors without double",
+        choices=("double", "single"),
     )
     actuation: str = setting(
         "lengths",

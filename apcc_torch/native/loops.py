@@ -199,9 +199,7 @@ def _closed(table: _Table, each: _Stretch, results: list[list[int]]) -> bool:
     return first and bool(near.all() and last.all()) and all(k < begin or k >= each.end - period for k in told)
 
 
-def _rewritten(
-    expressions: list[Expression], results: list[list[int]], table: _Table, found: list[_Stretch]
-) -> Rolled:
+def _rewritten(expressions: list[Expression], results: list[list[int]], table: _Table, found: list[_Stretch]) -> Rolled:
     """The expressions with each loop's first round for all of them."""
     made = list(expressions)
     alias: dict[int, int] = {}  # of a later round: the same in the first
