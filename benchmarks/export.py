@@ -1,7 +1,7 @@
 """How large an exported step is, and how long a call takes: the table of docs/export.md.
 
-    python benchmarks/export.py            prints it
-    python benchmarks/export.py FOLDER     writes it into docs/export.md, and leaves the libraries in FOLDER
+python benchmarks/export.py            prints it
+python benchmarks/export.py FOLDER     writes it into docs/export.md, and leaves the libraries in FOLDER
 """
 
 from __future__ import annotations

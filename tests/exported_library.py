@@ -12,28 +12,17 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from hydra import compose, initialize_config_dir
 from torch import Tensor
 
-from apcc_torch.composition.arm_file import arm_override
-from apcc_torch.composition.export import ExportSettings, Parts, parts
-from apcc_torch.composition.schema import typed
-from apcc_torch.conf_path import conf_path
+from apcc_torch.composition.export import Parts, parts
 from apcc_torch.experiments.exported import library, run
 from apcc_torch.exporting.library import Library
 from apcc_torch.exporting.structs import Struct, leaves
 from apcc_torch.native.structure import rebuilt
-from apcc_torch.sweeps.schemas import keep_schema
+from composed import composed_export
 
-keep_schema("export_schema", ExportSettings)
 FLAGS = ("-std=c++17", "-Wall", "-Wextra", "-Werror", "-ffp-contract=off", "-fno-math-errno", "-fno-trapping-math")
 CTYPES = {"double": ctypes.c_double, "float": ctypes.c_float, "bool": ctypes.c_bool, "int32_t": ctypes.c_int32}
-
-
-def composed_export(*overrides: str) -> ExportSettings:
-    """The settings as the program takes them."""
-    with initialize_config_dir(conf_path(), version_base="1.3"):
-        return typed(compose("export", arm_override(overrides)), ExportSettings)
 
 
 def needed(program: str) -> str:

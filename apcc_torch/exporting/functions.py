@@ -227,7 +227,7 @@ class TendonLoop(nn.Module):
         """The loop's integral after the period, and the forces during it."""
         y, y_d = tendons.y, tendons.y_d
         u = self.pid(loop.z, y, tendons.ydot, y_d, tendons.ydot_d, tendons.force)
-        return TendonMemory(self.pid.integrate(loop.z, y, y_d, tendons.dt)), TendonForces(u)
+        return TendonMemory(self.pid.integrate(loop.z, y, y_d, tendons.dt.unsqueeze(-1))), TendonForces(u)
 
 
 def blank(controller: Controller, pi_hat: Tensor) -> tuple[Any, Measurement, Target]:

@@ -156,7 +156,7 @@ class Library:
             f'extern "C" {self.signature(each)} {{',
             f"    using namespace {inner};",
             *([f"    const double now = {now};"] if now else []),
-            "    Inputs in;\n    Scratch s;\n    Outputs out;",
+            "    Inputs in{};\n    Scratch s;\n    Outputs out;",
             *(f"    {line}" for line in self._copies(each, each.function.takes, each.function.example, "take", now)),
             *(f"    {line}" for line in each.body.calls),
             *(f"    {line}" for line in self._copies(each, each.function.gives, each.results, "give", now)),

@@ -124,7 +124,8 @@ def _stretches(table: _Table, low: int, high: int, results: list[list[int]]) -> 
 
 def _periods(kind: Ints) -> list[int]:
     """Distances at which operations come again, the most frequent first."""
-    text, last, votes = kind.astype(np.uint8).tobytes(), {}, Counter[int]()
+    text, votes = kind.astype(np.uint8).tobytes(), Counter[int]()
+    last: dict[bytes, int] = {}
     for k in range(len(text) - WINDOW):
         window = text[k : k + WINDOW]
         if window in last:

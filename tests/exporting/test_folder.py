@@ -18,7 +18,8 @@ from apcc_torch.exporting.library import LIMIT_WORDS, STATUS_WORDS
 from apcc_torch.exporting.settings import LibrarySettings
 from apcc_torch.exporting.structs import leaves
 from apcc_torch.exporting.words import MEMBERS
-from exported_library import composed_export, exported, needed, said
+from composed import composed_export
+from exported_library import exported, needed, said
 
 SMALL = (
     "arm.lengths=[0.2]",
