@@ -14,7 +14,7 @@ from apcc_torch.control.control_settings import ControllerSettings, ControlSetti
 from apcc_torch.control.inverse_kinematics import InverseKinematics
 from apcc_torch.control.length_bounds import LengthBounds
 from apcc_torch.control.length_law import LawStep, LengthLaw, adapted
-from apcc_torch.control.step_io import Command, ControllerState, Measurement, Target, check_step, measured_tip
+from apcc_torch.control.step_io import Command, ControllerState, Measurement, Target, check_step, elapsed, measured_tip
 from apcc_torch.control.task_integral import TaskIntegral
 from apcc_torch.control.tendon_limits import SolverStatus
 from apcc_torch.errors import ConfigError
@@ -191,8 +191,8 @@ class APCCController(Part):
         """
         batch = check_step(state, measurement, target, self.feedback.abscissae.shape[-1])
         pi_hat = state.pi_hat
-        dt = (measurement.time - state.time).clamp(0.0, self.integration_limit).to(pi_hat.dtype)
-        expected, T = self._filtered(state, measurement, dt)
+        dt = elapsed(state.time, measurement.time, self.integration_limit, pi_hat)
+        expected, T = self.filtered(state, measurement, dt)
         shape, inference = self._inferred(state, measurement, T, dt)
         q_bar, valid = inference.feedback.q_bar, inference.feedback.status != int(FeedbackStatus.INVALID)
         filtered, qdot_bar = self.velocity_filter(state.velocity_filter, q_bar, measurement.time)
@@ -267,7 +267,7 @@ class APCCController(Part):
             y = self.tendons(state.q_d, state.pi_hat)
         return self.shape.infer(self.feedback, state.shape, state.q_bar, state.pi_hat, T, *masks, y, dt)
 
-    def _filtered(
+    def filtered(
         self, state: ControllerState, measurement: Measurement, dt: Tensor
     ) -> tuple[PoseFilterState | None, Tensor]:
         """The pose filter's state, and the poses (..., k, 4, 4) that algorithm 2 sees."""

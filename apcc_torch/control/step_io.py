@@ -120,6 +120,11 @@ def check_step(state: ControllerState, measurement: Measurement, target: Target,
     return batch_shape(**{"state.q_bar": (state.q_bar, 1), "state.pi_hat": (state.pi_hat, 1), **leading})
 
 
+def elapsed(before: Tensor, now: Tensor, limit: float, like: Tensor) -> Tensor:
+    """The time (...) s between two stamps, at most `limit`, in the type of `like`: stamps may need more digits."""
+    return (now - before).clamp(0.0, limit).to(like.dtype)
+
+
 def measured_tip(measurement: Measurement, x_hat: Tensor, valid: Tensor) -> tuple[Tensor, Tensor]:
     """The end effector and whether it was measured; the model's where the measurement is masked or not finite, or where
     the last sensor's pose is of a row that is not valid (...).

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from apcc_torch.estimation.arc_fit import ArcFit, ArcFitSettings
 from apcc_torch.estimation.feedback import Inference
+from apcc_torch.estimation.fit import Problem
 from apcc_torch.estimation.loaded_shape import LoadedShape, ShapeState
 from apcc_torch.estimation.loaded_shape_settings import LoadedShapeSettings
 from apcc_torch.estimation.state_feedback import StateFeedback
@@ -132,12 +133,11 @@ class ShapeFeedback(Part):
             state, q_bar, pi_hat, y, dt: As `forward` has them.
             T, mask, angular_mask: As `StateFeedback.infer` has them.
         """
-        pi_hat, problem = feedback.problem(q_bar.shape[:-1], pi_hat, T, mask, angular_mask)
+        pi_hat, problem, oriented = self._seen(feedback, q_bar, pi_hat, T, mask, angular_mask)
         batch = pi_hat.shape[:-1]
         q_bar = q_bar.expand(*batch, q_bar.shape[-1])
         y = None if y is None else y.expand(*batch, y.shape[-1])
         T = se3.pose(problem.rotation, problem.position)
-        oriented = torch.zeros_like(problem.oriented) if feedback.mode == "position" else problem.oriented
         later, found = self(state, q_bar, pi_hat, T, problem.usable, oriented, y, dt.expand(batch))
         problem = problem._replace(points=self.sensors_on(later.shape, found, pi_hat))
         step = torch.cat(
@@ -145,6 +145,37 @@ class ShapeFeedback(Part):
         )
         misfit = later.shape.misfit > MISFIT**2
         return later, feedback.judged(found, pi_hat, problem, step.abs().amax(-1), misfit)
+
+    def covariance(
+        self,
+        feedback: StateFeedback,
+        state: FollowedShape,
+        q_bar: Tensor,
+        pi_hat: Tensor,
+        T: Tensor,
+        mask: Tensor | None,
+        angular_mask: Tensor | None,
+        y: Tensor | None,
+        dt: Tensor,
+    ) -> Tensor:
+        """`LoadedShape.covariance` (..., n + 1, n + 1) of what `infer` finds with the same arguments."""
+        pi_hat, problem, oriented = self._seen(feedback, q_bar, pi_hat, T, mask, angular_mask)
+        T = se3.pose(problem.rotation, problem.position)
+        return self.shape.covariance(state.shape, T, problem.usable, oriented, y, dt.expand(pi_hat.shape[:-1]))
+
+    def _seen(
+        self,
+        feedback: StateFeedback,
+        q_bar: Tensor,
+        pi_hat: Tensor,
+        T: Tensor,
+        mask: Tensor | None,
+        angular_mask: Tensor | None,
+    ) -> tuple[Tensor, Problem, Tensor]:
+        """pi_hat and the sensors, of one leading shape, and whose orientations (..., k) count."""
+        pi_hat, problem = feedback.problem(q_bar.shape[:-1], pi_hat, T, mask, angular_mask)
+        oriented = torch.zeros_like(problem.oriented) if feedback.mode == "position" else problem.oriented
+        return pi_hat, problem, oriented
 
     def _seed(self, q_bar: Tensor, state: FollowedShape, pi_hat: Tensor) -> Tensor:
         """The last q_bar (..., n) with its sections as long as they were: rest lengths may have moved since."""

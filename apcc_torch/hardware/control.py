@@ -51,6 +51,11 @@ class Goal(NamedTuple):
     xdot_d: Array
 
 
+def warmed_up(controller: APCCController, state: ControllerState, pi_hat: Tensor) -> Tensor:
+    """q (..., n) of the shape that a warm-up has found: what it made rest length is elongation of pi_hat again."""
+    return state.q_bar + controller.backbone.coordinates.on_elongations(state.pi_hat - pi_hat)
+
+
 @dataclass(frozen=True)
 class Decision:
     """One step of the controller.
@@ -168,9 +173,7 @@ class Control:
         Args:
             time: Stamp before the first measurement, s.
         """
-        # The shape stays: what the warm-up made rest length is elongation again.
-        state = self.state
-        q = state.q_bar + self.controller.backbone.coordinates.on_elongations(state.pi_hat - self.pi_hat)
+        q = warmed_up(self.controller, self.state, self.pi_hat)
         self._set(q, self.pi_hat, time)
         return Start(numbers(q), numbers(self.pi_hat), time)
 

@@ -21,7 +21,7 @@ _STORAGE = {
 _SUFFIX = {FLOAT: "", INT: "_int", BOOL: "_bool"}
 
 
-def driver(trace: Trace, parts: int, calls: str, carried: list[tuple[int, int]]) -> str:
+def driver(trace: Trace, parts: int, calls: list[str], carried: list[tuple[int, int]]) -> str:
     """C++ that runs a program on rows.
 
     Args:
@@ -46,6 +46,6 @@ def driver(trace: Trace, parts: int, calls: str, carried: list[tuple[int, int]])
         array = ARRAY[kind]
         carry.append(f"std::memcpy(in.{array} + {inputs[into]}, out.{array} + {outputs[output]}, {size});")
     text = files(__package__).joinpath("driver.hpp").read_text()
-    for word, lines in {"LOADS": loads, "STORES": stores, "CARRY": carry, "CALLS": calls.splitlines()}.items():
+    for word, lines in {"LOADS": loads, "STORES": stores, "CARRY": carry, "CALLS": calls}.items():
         text = text.replace(f"@{word}@", "\n            ".join(lines))
     return text.replace("@PARTS@", ", ".join(f"(const char*)part_{k}" for k in range(parts)))

@@ -19,8 +19,12 @@ _INFIX = {
     "add": "+", "sub": "-", "mul": "*", "div": "/", "and": "&", "or": "|",
     "lt": "<", "le": "<=", "eq": "==", "ne": "!=",
 }  # fmt: skip
-_SIGNATURE = "void part_{}(const Inputs& in, const REAL* __restrict k, Scratch& s, Outputs& out)"
+_SIGNATURE = (
+    "void part_{}([[maybe_unused]] const Inputs& in, [[maybe_unused]] const REAL* __restrict k, "
+    "[[maybe_unused]] Scratch& s, [[maybe_unused]] Outputs& out)"
+)
 _LARGEST_OF_FORM = 16.0
+_THREADS = "".join(f"#include <{name}>\n" for name in ("atomic", "chrono", "thread", "vector"))
 # The functions of lanes.hpp whose names differ from the operation's with an underscore behind it.
 _CALLS = {"float": "real", "int": "integer"}
 
@@ -45,6 +49,40 @@ class Source:
         return hashlib.sha256("\0".join((self.header, *self.parts)).encode()).hexdigest()[:32]
 
 
+@dataclass
+class Body:
+    """The statements of a trace.
+
+    structs: The types Inputs, Scratch and Outputs, and the functions' declarations.
+    functions: Each its share of the statements.
+    calls: What runs them, with `in`, `numbers`, `s` and `out` at hand.
+    numbers: What they read in place of constants.
+    """
+
+    structs: str
+    functions: list[str]
+    calls: list[str]
+    numbers: list[float]
+
+
+def body(trace: Trace) -> Body:
+    """The statements of a trace, to stand behind `prologue`."""
+    layout = laid_out(trace)
+    writer = _Writer(trace, layout)
+    functions = [writer.part(part) for part in layout.parts]
+    return Body(writer.structs(), functions, writer.calls(layout.program), writer.numbers)
+
+
+def prologue(lanes: int, dtype: torch.dtype) -> str:
+    """The arithmetic that statements are written in.
+
+    Args:
+        lanes: Rows at once; 1 for plain numbers.
+        dtype: What is computed in, float64 or float32.
+    """
+    return f"{_settings(lanes, dtype)}\n{files(__package__).joinpath('lanes.hpp').read_text()}"
+
+
 def program(trace: Trace, lanes: int, dtype: torch.dtype, carried: list[tuple[int, int]], files_wanted: int) -> Source:
     """The program of a trace.
 
@@ -55,17 +93,14 @@ def program(trace: Trace, lanes: int, dtype: torch.dtype, carried: list[tuple[in
         carried: Pairs (output, input): what a repetition hands to the next.
         files_wanted: How many files the parts are spread over.
     """
-    layout = laid_out(trace)
-    writer = _Writer(trace, layout)
-    functions = [writer.part(part) for part in layout.parts]
-    header = "\n".join(
-        (_prologue(lanes, dtype), files(__package__).joinpath("lanes.hpp").read_text(), writer.structs())
-    )
-    groups: list[list[str]] = [[] for _ in range(max(1, min(files_wanted, len(functions))))]
-    for k, text in enumerate(functions):
+    made = body(trace)
+    # Before the settings, whose names a header may use as well.
+    header = f"{_THREADS}{prologue(lanes, dtype)}\n{made.structs}"
+    groups: list[list[str]] = [[] for _ in range(max(1, min(files_wanted, len(made.functions))))]
+    for k, text in enumerate(made.functions):
         groups[k % len(groups)].append(text)
-    groups[0].append(driver(trace, len(layout.parts), "\n".join(writer.calls(layout.program)), carried))
-    return Source(header, ["\n".join(group) for group in groups], lanes, writer.numbers)
+    groups[0].append(driver(trace, len(made.functions), made.calls, carried))
+    return Source(header, ["\n".join(group) for group in groups], lanes, made.numbers)
 
 
 class _Writer:
@@ -209,7 +244,7 @@ def _literal(expression: Expression) -> str:
     return {"inf": "(REAL)INFINITY", "-inf": "(REAL)-INFINITY", "nan": "(REAL)NAN"}.get(text, f"(REAL){text}")
 
 
-def _prologue(lanes: int, dtype: torch.dtype) -> str:
+def _settings(lanes: int, dtype: torch.dtype) -> str:
     double = dtype == torch.float64
     settings = {
         "LANES": lanes,
