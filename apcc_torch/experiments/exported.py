@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import torch
@@ -24,7 +25,9 @@ def library(settings: ExportSettings, made: Parts) -> Library:
     """The library of its parts."""
     arm = settings.arm
     law = "fixed rest lengths" if not settings.controller.adaptive else "adaptive rest lengths"
-    origin = f"The controller of {arm.name or 'an arm'}, {law}: apcc_torch {apcc_torch.__version__} wrote it."
+    # It stands in comments of C, which a name from a file must not end.
+    named = re.sub(r"[^\w .-]", "_", arm.name or "an arm")
+    origin = f"The controller of {named}, {law}: apcc_torch {apcc_torch.__version__} wrote it."
     constants = {
         "first_estimate": (made.pi_hat, "[m] First estimates of the rest lengths."),
         "sensors_at": (made.sensors, "[m] Where the sensors sit on the arm at rest, from the base."),
