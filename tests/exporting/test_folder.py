@@ -99,12 +99,12 @@ def test_a_library_of_single_precision_passes_its_test(tmp_path: Path) -> None:
 
 
 def test_a_wrong_number_is_found(folder: Path) -> None:
-    """The folder's own test is one: it fails where a number of the source is another."""
+    """The folder's own test is one: it fails where numbers of the source are others."""
     source = (folder / "src" / "finger.cpp").read_text()
     table = source.index("namespace of_step {")
     at = source.index("REAL numbers[", table)
-    changed = source[:at] + re.sub(r"\{([^,]+),", r"{1.001 * \1,", source[at:], count=1)
-    assert changed != source
+    begin, end = source.index("{", at), source.index("}", at)
+    changed = source[: begin + 1] + re.sub(r"([^,]+)", r"1.001 * (\1)", source[begin + 1 : end]) + source[end:]
     (folder / "wrong.cpp").write_text(changed)
     command = [needed("g++"), "-std=c++17", "-O0", "-Iinclude", "-Isrc", "wrong.cpp", "test/test_vectors.cpp"]
     said([needed("gcc"), "-Iinclude", "-c", "test/header_is_c.c", "-o", "header.o"], folder)
@@ -126,7 +126,7 @@ def test_the_program_writes_a_folder_once(
     monkeypatch.setattr(sys, "argv", words)
     with pytest.raises(SystemExit) as ended:
         export.main()
-    assert ended.value.code == 2 and "mine holds results (CMakeLists.txt)" in capsys.readouterr().err
+    assert ended.value.code == 2 and "mine holds results (CMakeLists.txt)" in "".join(capsys.readouterr())
 
 
 @pytest.mark.parametrize(
@@ -150,7 +150,7 @@ def test_what_cannot_be_meant_is_refused(
     monkeypatch.setattr(sys, "argv", ["export", "out=mine", word])
     with pytest.raises(SystemExit) as ended:
         export.main()
-    told = capsys.readouterr().err
+    told = "".join(capsys.readouterr())
     assert ended.value.code == 2 and said_of_it in told, told
     assert not (tmp_path / "mine").exists()
 
