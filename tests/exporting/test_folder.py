@@ -14,7 +14,7 @@ from apcc_torch import export
 from apcc_torch.composition.export import of_an_export
 from apcc_torch.composition.unread import check_given
 from apcc_torch.control.tendon_limits import SolverStatus
-from apcc_torch.errors import ConfigError
+from apcc_torch.errors import ApccError, ConfigError
 from apcc_torch.estimation.feedback import FeedbackStatus
 from apcc_torch.exporting.folder import filled
 from apcc_torch.exporting.library import LIMIT_WORDS, STATUS_WORDS
@@ -136,12 +136,12 @@ def test_the_program_writes_a_folder_once(
     [
         ({"name": "int"}, "name must be a word of C"),
         ({"name": "Mine"}, "name must be a word of C"),
-        ({"vectors": 2}, "vectors must be at least 3"),
+        ({"vectors": 2}, r"vectors must be in \[3, 1000\]"),
         ({"precision": "half"}, "precision must be one of double, single"),
     ],
 )
 def test_what_is_no_library_is_refused(change: dict[str, Any], said_of_it: str) -> None:
-    with pytest.raises(ConfigError, match=said_of_it):
+    with pytest.raises(ApccError, match=said_of_it):
         LibrarySettings(**change)
 
 
