@@ -85,7 +85,11 @@ def filled(text: str, words: dict[str, str], conditions: dict[str, bool]) -> str
 def vectors(library: Library, steps: Sequence) -> str:
     """The reference steps as tables of C++."""
     p, count = library.prefix, len(steps.answers)
-    tables = {"measurement": steps.measurements, "target": steps.targets, "command": steps.answers}
+    tables: dict[str, list[Any]] = {
+        "measurement": steps.measurements,
+        "target": steps.targets,
+        "command": steps.answers,
+    }
     if steps.uncertainty is not None:
         tables["uncertainty"] = [steps.uncertainty]
     parts = [

@@ -233,6 +233,7 @@ class TendonLoop(nn.Module):
 def blank(controller: Controller, pi_hat: Tensor) -> tuple[Any, Measurement, Target]:
     """Arguments of the form that every step of a library has, without what the controller does not read."""
     inner = kinematic(controller)
+    state: Any
     state, measurement, target = blank_step(inner, pi_hat)
     if inner.shape is None:
         measurement = measurement._replace(tendons=None)

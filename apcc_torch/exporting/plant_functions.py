@@ -48,6 +48,9 @@ class SeenPlantStep(nn.Module):
         sensors: (k,) where the sensors are, m.
     """
 
+    X_tilde: Tensor
+    j: Tensor
+
     def __init__(self, plant: Plant, dt: float, sensors: Tensor) -> None:
         super().__init__()
         self.step = PlantStep(plant, dt)

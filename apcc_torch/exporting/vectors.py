@@ -49,6 +49,7 @@ def sequence(controller: Controller, functions: Listed[Function], count: int) ->
     phase = 6.28 * torch.rand(model.n, generator=rng, dtype=torch.float64).to(pi_hat)
     reach = model.coordinates.per_unit(BEND, STRETCH, model.n, pi_hat)
     blank_measurement, blank_target = blank(controller, pi_hat)[1:]
+    every = torch.ones(inner.feedback.abscissae.shape[-1], dtype=torch.bool)
     measurements, targets, answers, uncertainty = [], [], [], None
     for k in range(count):
         q = reach * torch.sin(phase + 0.1 * k)
@@ -56,7 +57,6 @@ def sequence(controller: Controller, functions: Listed[Function], count: int) ->
         measurement = blank_measurement._replace(T=T, time=blank_measurement.time + PERIOD * (k + 1))
         if measurement.tendons is not None:
             measurement = measurement._replace(tendons=inner.tendons(q, pi_hat))
-        every = torch.ones_like(blank_measurement.mask)
         if k == count - 2:
             measurement = measurement._replace(mask=~every)
         if k == count - 3:

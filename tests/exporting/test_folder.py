@@ -5,13 +5,16 @@ from __future__ import annotations
 import re
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
 
 from apcc_torch import export
+from apcc_torch.composition.export import of_an_export
+from apcc_torch.composition.unread import check_given
 from apcc_torch.control.tendon_limits import SolverStatus
-from apcc_torch.errors import ConfigError
+from apcc_torch.errors import ApccError, ConfigError
 from apcc_torch.estimation.feedback import FeedbackStatus
 from apcc_torch.exporting.folder import filled
 from apcc_torch.exporting.library import LIMIT_WORDS, STATUS_WORDS
@@ -99,12 +102,11 @@ def test_a_library_of_single_precision_passes_its_test(tmp_path: Path) -> None:
 
 
 def test_a_wrong_number_is_found(folder: Path) -> None:
-    """The folder's own test is one: it fails where numbers of the source are others."""
+    """The folder's own test is one: it fails where a number of the source is another."""
     source = (folder / "src" / "finger.cpp").read_text()
-    table = source.index("namespace of_step {")
-    at = source.index("REAL numbers[", table)
-    begin, end = source.index("{", at), source.index("}", at)
-    changed = source[: begin + 1] + re.sub(r"([^,]+)", r"1.001 * (\1)", source[begin + 1 : end]) + source[end:]
+    at = source.index("REAL numbers[", source.index("namespace of_step {"))
+    begin, end = source.index("{", at) + 1, source.index("}", at)
+    changed = source[:begin] + ", ".join(f"1.001 * {x}" for x in source[begin:end].split(",")) + source[end:]
     (folder / "wrong.cpp").write_text(changed)
     command = [needed("g++"), "-std=c++17", "-O0", "-Iinclude", "-Isrc", "wrong.cpp", "test/test_vectors.cpp"]
     said([needed("gcc"), "-Iinclude", "-c", "test/header_is_c.c", "-o", "header.o"], folder)
@@ -130,29 +132,32 @@ def test_the_program_writes_a_folder_once(
 
 
 @pytest.mark.parametrize(
-    ("word", "said_of_it"),
+    ("change", "said_of_it"),
     [
-        ("name=int", "name must be a word of C"),
-        ("name=Mine", "name must be a word of C"),
-        ("vectors=2", "vectors must be at least 3"),
-        ("precision=half", "precision must be one of double, single"),
-        ("experiment.payloads=[0.0,0.1]", "experiment.payloads is read by nothing: the controller alone is exported"),
-        ("plant.refine=2", "plant.refine is read by nothing: with_plant is false"),
-        ("plant.pid.K_P=2", "plant.pid.K_P is read by nothing: with_plant is false"),
-        ("dtype=float32", "dtype is read by nothing: precision says it"),
-        ("hardware.actuator.port=x", "hardware is no setting here, but one of python -m apcc_torch.robot"),
+        ({"name": "int"}, "name must be a word of C"),
+        ({"name": "Mine"}, "name must be a word of C"),
+        ({"vectors": 2}, r"vectors must be in \[3, 1000\]"),
+        ({"precision": "half"}, "precision must be one of double, single"),
     ],
 )
-def test_what_cannot_be_meant_is_refused(
-    word: str, said_of_it: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(sys, "argv", ["export", "out=mine", word])
-    with pytest.raises(SystemExit) as ended:
-        export.main()
-    told = "".join(capsys.readouterr())
-    assert ended.value.code == 2 and said_of_it in told, told
-    assert not (tmp_path / "mine").exists()
+def test_what_is_no_library_is_refused(change: dict[str, Any], said_of_it: str) -> None:
+    with pytest.raises(ApccError, match=said_of_it):
+        LibrarySettings(**change)
+
+
+@pytest.mark.parametrize(
+    ("words", "said_of_it"),
+    [
+        (("experiment.payloads=[0.1]",), "experiment.payloads is read by nothing: the controller alone is exported"),
+        (("plant.refine=3",), "plant.refine is read by nothing: with_plant is false"),
+        (("actuation=forces", "plant.pid.K_P=2", "plant.backlash=1e-3"), "plant.backlash is read by nothing"),
+        (("dtype=float32",), "dtype is read by nothing: precision says it"),
+        (("angular_noise=0.1",), "angular_noise is read by nothing: the law of the shape has its own"),
+    ],
+)
+def test_what_a_library_does_not_depend_on_is_refused(words: tuple[str, ...], said_of_it: str) -> None:
+    with pytest.raises(ConfigError, match=re.escape(said_of_it)):
+        check_given(of_an_export, [composed_export(*words)], words)
 
 
 def test_a_plant_has_one_payload(tmp_path: Path) -> None:
@@ -168,7 +173,7 @@ def test_every_status_has_words() -> None:
 def test_every_member_has_words(folder: Path) -> None:
     """So does what only some controllers remember."""
     text = (folder / "include" / "finger.h").read_text()
-    members = re.findall(r"^ {4}(?:finger_real|double|bool|int32_t) (\w+).*;(.*)$", text, re.M)
+    members = re.findall(r"^ {4}(?:finger_real|double|bool|int32_t) (\w+)[^;]*;(.*)$", text, re.M)
     assert len(members) > 40 and all("/**<" in comment for _, comment in members), members
     for words in MEMBERS.values():
         assert words.meaning and words.unit.isascii()
