@@ -120,6 +120,6 @@ def floor(function: NativeFunction) -> dict[str, float]:
     trace = traced(function.traced, function.example)
     moved = [*trace.inputs, *trace.outputs]
     return {
-        "operations": float(len(laid_out(trace).order)),
+        "operations": float(laid_out(trace).operations(trace.scalars)),
         "bytes": float(sum(torch.Size(leaf.shape).numel() * leaf.dtype.itemsize for leaf in moved)),
     }

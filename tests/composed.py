@@ -11,6 +11,7 @@ from omegaconf import DictConfig, OmegaConf
 from apcc_torch.composition.arm_file import arm_override, spelled
 from apcc_torch.composition.data_file import data_override
 from apcc_torch.composition.evaluate import EvaluateSettings
+from apcc_torch.composition.export import ExportSettings
 from apcc_torch.composition.identify import IdentifySettings
 from apcc_torch.composition.realtime import RealtimeSettings
 from apcc_torch.composition.run_settings import SimulateSettings
@@ -24,6 +25,7 @@ keep_schema("simulate_schema", SimulateSettings)
 keep_schema("realtime_schema", RealtimeSettings)
 keep_schema("identify_schema", IdentifySettings)
 keep_schema("evaluate_schema", EvaluateSettings)
+keep_schema("export_schema", ExportSettings)
 
 # Experiments that only the program for an arm, real or simulated, can run.
 ON_AN_ARM = {"calibration", "experiment_1", "experiment_2"}
@@ -92,3 +94,10 @@ def changed(experiment: str, *changes: str) -> SimulateSettings:
     cfg = OmegaConf.merge(_plain(experiment), {"data": data}, OmegaConf.from_dotlist(rest))
     assert isinstance(cfg, DictConfig)
     return typed(cfg, SimulateSettings)
+
+
+def composed_export(*overrides: str) -> ExportSettings:
+    """The settings of a library; its folder is none of them."""
+    words = [word for word in overrides if not word.startswith("out=")]
+    with initialize_config_dir(conf_path(), version_base="1.3"):
+        return typed(compose("export", arm_override(words)), ExportSettings)

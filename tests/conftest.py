@@ -28,6 +28,8 @@ LONG = (
     "simulation/test_rollout.py",
     "native/test_steps.py",
     "native/test_models.py",
+    "exporting/test_steps.py",
+    "exporting/test_folder.py",
     "tests/test_robot.py",
     "sweeps/test_resume.py",
     "sweeps/test_search.py",

@@ -11,7 +11,7 @@ from typing import Any
 import apcc_torch
 from apcc_torch.settings import Settings, default_of
 
-PROGRAMS = {"benchmark", "evaluate", "identify", "robot", "robot_log", "simulate", "__main__"}
+PROGRAMS = {"benchmark", "evaluate", "export", "identify", "robot", "robot_log", "simulate", "__main__"}
 """Modules that start Hydra when they are imported, or run."""
 
 NEEDED: dict[str, Any] = {

@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from apcc_torch import benchmark, evaluate, identify, robot, robot_log, simulate
+from apcc_torch import benchmark, evaluate, export, identify, robot, robot_log, simulate
 from apcc_torch.report import __main__ as report
 
 
@@ -42,6 +42,7 @@ from apcc_torch.report import __main__ as report
         (identify.main, "data=trnk", "data has no choice 'trnk'; did you mean trunk?"),
         (evaluate.main, "data=trunk_paylod", "data has no choice 'trunk_paylod'; did you mean trunk_payload?"),
         (evaluate.main, "data=trunk data.tran=x", "data.tran is no setting; did you mean train?"),
+        (export.main, "presicion=single", "presicion is no setting; did you mean precision?"),
         (benchmark.main, "grid=smal", "grid has no choice 'smal'; did you mean small?"),
         (robot_log.main, "inf x", "there is no inf; did you mean info?"),
         (robot_log.main, "replay x --alow-class y", "there is no argument --alow-class; did you mean --allow-class?"),
@@ -65,7 +66,7 @@ def test_what_is_mistyped_is_refused_in_a_sentence(
     assert not list(tmp_path.iterdir()) and "HYDRA_FULL_ERROR" not in os.environ
 
 
-@pytest.mark.parametrize("program", [simulate, benchmark, evaluate, identify, robot])
+@pytest.mark.parametrize("program", [simulate, benchmark, evaluate, export, identify, robot])
 @pytest.mark.parametrize("option", ["--experimental-rerun {}", "--experimental-rerun={}", "--exp={}"])
 def test_no_program_unpickles_a_file(
     program: ModuleType,

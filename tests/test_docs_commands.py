@@ -28,7 +28,7 @@ from apcc_torch.composition.help import rows
 from apcc_torch.composition.identify import IdentifySettings
 from apcc_torch.composition.schema import typed
 from apcc_torch.conf_path import conf_path
-from composed import composed, composed_evaluate, composed_identify, composed_realtime
+from composed import composed, composed_evaluate, composed_export, composed_identify, composed_realtime
 from doc_pages import PAGES, ROOT, Block, Command, commands, keys, name_of, python_blocks
 
 UNCHECKED_COMMANDS: dict[str, str] = {
@@ -49,6 +49,7 @@ UNCHECKED_COMMANDS: dict[str, str] = {
     "identify data=data.yaml": "tests/recordings/test_worked_examples.py runs it",
     "simulate experiment=replay data=data.yaml feedback=position replay.direction=[0,0,-1] "
     "replay.base_position=[0,0,0]": "tests/recordings/test_worked_examples.py runs it",
+    "export arm=mine.yaml out=mine_library": "the file is the reader's; tests/exporting has such arms",
     "evaluate data=mine.yaml": "the file is the reader's; tests/evaluation has such a one",
     "identify arm=runs/identify/FOLDER/parameters.json identification=ftdcr_v6 data=train.csv": (
         "the run is the reader's"
@@ -113,6 +114,7 @@ PROGRAMS: dict[str, Callable[..., Any]] = {
     "benchmark": composed_benchmark,
     "identify": composed_with_arm,
     "evaluate": composed_evaluate,
+    "export": composed_export,
 }
 """A program of hydra's -> what composes and reads its settings."""
 
@@ -227,7 +229,7 @@ def known_keys() -> set[str]:
     every = [settings("simulate", "experiment=dynamic_run_2", *dict.fromkeys(chosen)) for chosen in some]
     every += [settings("robot", "experiment=setpoint", "hardware=dynamixel_optitrack")]
     every += [settings("robot", "experiment=setpoint"), settings("identify", "data=PATH")]
-    every += [settings("evaluate", "data=trunk_payload")]
+    every += [settings("evaluate", "data=trunk_payload"), settings("export", "arm=arm_2")]
     told = [row for each in every for row in rows(each)]
     return {row.key for row in told} | {f"{row.key}.kind" for row in told if not row.source}
 

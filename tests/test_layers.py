@@ -30,6 +30,7 @@ LAYERS: tuple[tuple[str, ...], ...] = (
     ("part", "web_address"),
     ("classes",),
     ("reading",),
+    ("repetition",),
     ("native",),
     ("linalg",),
     ("lie",),
@@ -42,6 +43,7 @@ LAYERS: tuple[tuple[str, ...], ...] = (
     ("evaluation",),
     ("",),  # apcc_torch/__init__.py, the public surface
     ("envs", "hardware"),
+    ("exporting",),
     ("composition",),
     ("report",),
     ("viewing",),
@@ -50,7 +52,7 @@ LAYERS: tuple[tuple[str, ...], ...] = (
     ("paper",),
     ("completion", "sweeps"),
     ("composed", "demo", "model_file", "new_arm", "robot_log", "simulate"),
-    ("benchmark", "evaluate", "identify", "report.__main__", "robot", "view"),
+    ("benchmark", "evaluate", "export", "identify", "report.__main__", "robot", "view"),
 )
 
 # What a unit does without, though it lies below: real devices know no simulation, and get the simulated arm's plant.
@@ -58,7 +60,9 @@ APART: dict[str, frozenset[str]] = {"hardware": frozenset({"simulation"})}
 
 # Who alone may import a heavy or program-only library.
 RESTRICTED: dict[str, frozenset[str]] = {
-    "hydra": frozenset({"benchmark", "completion", "composed", "evaluate", "identify", "robot", "simulate", "sweeps"}),
+    "hydra": frozenset(
+        {"benchmark", "completion", "composed", "evaluate", "export", "identify", "robot", "simulate", "sweeps"}
+    ),
     "matplotlib": frozenset({"report", "report.__main__"}),
     "gymnasium": frozenset({"envs"}),
     "stable_baselines3": frozenset({"envs"}),

@@ -70,7 +70,7 @@ def test_a_program_says_its_sentence_in_plain_text() -> None:
     assert said == [r"body \x1b]0;owned\x07 is missing"]
 
 
-@pytest.mark.parametrize("name", ["simulate", "benchmark", "evaluate", "identify", "realtime"])
+@pytest.mark.parametrize("name", ["simulate", "benchmark", "evaluate", "export", "identify", "realtime"])
 @pytest.mark.parametrize("logging", ["job_logging", "hydra_logging"])
 def test_every_line_of_a_programs_log_is_plain(name: str, logging: str) -> None:
     content = yaml.safe_load(Path(conf_path(), f"{name}.yaml").read_text(encoding="utf-8"))

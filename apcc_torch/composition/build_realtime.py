@@ -6,7 +6,7 @@ import torch
 
 from apcc_torch.composition.build import Builder
 from apcc_torch.composition.realtime import RealtimeSettings, limits_of
-from apcc_torch.control.trajectory import SetPoint, Trajectory
+from apcc_torch.control.trajectory import SetPoint, SineTrajectory
 from apcc_torch.errors import ConfigError
 from apcc_torch.hardware.control import Control, blank_step
 from apcc_torch.hardware.devices import Devices, devices
@@ -67,7 +67,7 @@ class RealtimeBuilder:
             raise ConfigError(f"experiment.payloads must hold one payload on one arm, got {payloads.tolist()}")
         return payloads
 
-    def trajectory(self) -> Trajectory:
+    def trajectory(self) -> SetPoint | SineTrajectory:
         """Where the end effector is to go.
 
         Raises:
@@ -87,9 +87,10 @@ class RealtimeBuilder:
         step = compiled(controller, blank_step(controller, pi_hat), self.settings.compile)
         if isinstance(way, Ramp):
             return RampControl(controller, pi_hat, way, step)
-        return Control(controller, way, pi_hat, step)
+        targets = compiled(way, (torch.zeros((), dtype=pi_hat.dtype),), self.settings.compile)
+        return Control(controller, way, pi_hat, step, targets)
 
-    def way(self) -> Ramp | Trajectory:
+    def way(self) -> Ramp | SetPoint | SineTrajectory:
         """Where the tendons go in an experiment of kind `tendons`, else where the end effector is to go."""
         kind = check_choice("experiment.kind", self.settings.experiment.kind, EXPERIMENTS)
         return self.ramp() if kind == "tendons" else self.trajectory()

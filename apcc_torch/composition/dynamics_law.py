@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from apcc_torch.composition.build import Builder
-from apcc_torch.composition.run_settings import SimulateSettings
+from apcc_torch.composition.run_settings import ForcedRunSettings
 from apcc_torch.control.composite_controller import CompositeController
 from apcc_torch.control.controller import APCCController
 from apcc_torch.model.dynamics_regressor import PARAMETERS
@@ -21,7 +21,7 @@ def with_dynamics(build: Builder, controller: APCCController) -> APCCController 
         ValueRangeError: A setting is out of range.
     """
     config = build.config
-    assert isinstance(config, SimulateSettings)  # the only runs with a law of the dynamics
+    assert isinstance(config, ForcedRunSettings)  # the only runs with a law of the dynamics
     if config.dynamics_law is None:
         return controller
     composite: CompositeController = part_of(config.dynamics_law)(controller, None, None, config.dynamics_law)

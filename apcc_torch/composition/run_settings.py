@@ -168,15 +168,21 @@ class PruneSettings(Settings):
 
 
 @dataclass(frozen=True, kw_only=True)
-class SimulateSettings(RunSettings):
+class ForcedRunSettings(RunSettings):
+    """What a run has whose tendons may be told forces beside their lengths."""
+
+    dynamics_law: Settings | None = setting(
+        None, "", PAPER, "feed-forward of the tendon loop; null: none", base=CompositeController
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class SimulateSettings(ForcedRunSettings):
     """Root of `python -m apcc_torch.simulate`."""
 
     elsewhere: ClassVar[Mapping[str, str]] = dict.fromkeys(ON_AN_ARM, "python -m apcc_torch.robot")
 
     replay: ReplaySettings = setting(factory=ReplaySettings, meaning="of a recording")
-    dynamics_law: Settings | None = setting(
-        None, "", PAPER, "feed-forward of the tendon loop; null: none", base=CompositeController
-    )
     state: str = setting(
         "feedback", "", PAPER, "feedback, algorithm 2 in the loop; exact, q is known", choices=("feedback", "exact")
     )

@@ -8,6 +8,7 @@ from apcc_torch.control.clearance import ClearanceCost
 from apcc_torch.control.composite_controller import CompositeController, CompositeControllerSettings
 from apcc_torch.control.control_settings import ControllerSettings, ControlSettings
 from apcc_torch.control.controller import APCCController
+from apcc_torch.control.estimate_covariance import SensorNoise, estimate_covariance
 from apcc_torch.control.inverse_kinematics import InverseKinematics, InverseKinematicsSettings, elongation_cost
 from apcc_torch.control.length_bounds import LengthBounds, LengthBoundsSettings
 from apcc_torch.control.length_law import LawStep, LengthLaw
@@ -51,6 +52,7 @@ __all__ = [
     "Obstacle",
     "PressureControl",
     "PressureControlSettings",
+    "SensorNoise",
     "SetPoint",
     "ShapeLaw",
     "ShapeLawSettings",
@@ -70,5 +72,6 @@ __all__ = [
     "TendonReference",
     "Trajectory",
     "elongation_cost",
+    "estimate_covariance",
     "ramp",
 ]

@@ -16,7 +16,7 @@ from torch import Tensor
 from apcc_torch.control.adaptive_dynamics import AdaptiveDynamics, AdaptiveDynamicsSettings, DynamicsEstimate
 from apcc_torch.control.bounds import within
 from apcc_torch.control.controller import APCCController
-from apcc_torch.control.step_io import Command, ControllerState, Measurement, Target
+from apcc_torch.control.step_io import Command, ControllerState, Measurement, Target, elapsed
 from apcc_torch.errors import ConfigError
 from apcc_torch.estimation.state_feedback import StateFeedback
 from apcc_torch.linalg import damped_pseudo_inverse
@@ -189,17 +189,17 @@ class CompositeController(Part):
         before = state.kinematic
         later, command = self.kinematic(before, measurement, target)
         q, qdot, pi_hat, q_d = later.q_bar, later.qdot_bar, later.pi_hat, later.q_d
-        dt = (later.time - before.time).clamp(0.0, self.kinematic.integration_limit).to(q.dtype)
-        elapsed, step = (dt > 0).unsqueeze(-1), dt.clamp(min=1e-9).unsqueeze(-1)
+        dt = elapsed(before.time, later.time, self.kinematic.integration_limit, q)
+        passed, step = (dt > 0).unsqueeze(-1), dt.clamp(min=1e-9).unsqueeze(-1)
         share = 1.0 - torch.exp(-dt / self.reference_time).unsqueeze(-1)
-        rate = torch.lerp(state.rate, torch.where(elapsed, (q_d - before.q_d) / step, 0.0), share)
+        rate = torch.lerp(state.rate, torch.where(passed, (q_d - before.q_d) / step, 0.0), share)
         off = q - q_d
         v = rate - self.stiffness * off
-        a = torch.where(elapsed, (rate - state.rate) / step, 0.0) - self.stiffness * (qdot - rate)
+        a = torch.where(passed, (rate - state.rate) / step, 0.0) - self.stiffness * (qdot - rate)
         s = qdot - v
         # Behind the law's low-pass a difference is what it was integrated from: no rate of q_bar has to be right.
-        moved = torch.where(elapsed, (q - before.q_bar) / step, 0.0)
-        swung = torch.where(elapsed, (qdot - before.qdot_bar) / step, 0.0)
+        moved = torch.where(passed, (q - before.q_bar) / step, 0.0)
+        swung = torch.where(passed, (qdot - before.qdot_bar) / step, 0.0)
         # The motion that is wanted and the one that was measured, side by side.
         pairs = [torch.stack(torch.broadcast_tensors(*pair)) for pair in ((v, moved), (a, swung), (q_d, q))]
         both = self.dynamics(q, qdot, pairs[0], pairs[1], pi_hat, pairs[2])

@@ -16,7 +16,7 @@ from apcc_torch.control.length_bounds import LengthBounds
 from apcc_torch.control.length_law import LawStep, LengthLaw, adapted
 from apcc_torch.control.pressure import PressureControl
 from apcc_torch.control.reference import moved
-from apcc_torch.control.step_io import Command, ControllerState, Measurement, Target, check_step, measured_tip
+from apcc_torch.control.step_io import Command, ControllerState, Measurement, Target, check_step, elapsed, measured_tip
 from apcc_torch.control.task_integral import TaskIntegral
 from apcc_torch.errors import ConfigError
 from apcc_torch.estimation.feedback import FeedbackStatus, Inference
@@ -201,8 +201,8 @@ class APCCController(Part):
         """
         batch = check_step(state, measurement, target, self.feedback.abscissae.shape[-1], self.shape)
         pi_hat = state.pi_hat
-        dt = (measurement.time - state.time).clamp(0.0, self.integration_limit).to(pi_hat.dtype)
-        expected, T = self._filtered(state, measurement, dt)
+        dt = elapsed(state.time, measurement.time, self.integration_limit, pi_hat)
+        expected, T = self.filtered(state, measurement, dt)
         shape, inference = self._inferred(state, measurement, T, dt)
         q_bar, valid = inference.feedback.q_bar, inference.feedback.status != int(FeedbackStatus.INVALID)
         filtered, qdot_bar = self.velocity_filter(state.velocity_filter, q_bar, measurement.time)
@@ -230,16 +230,12 @@ class APCCController(Part):
         qdot, q_d, limits = moved(state.q_d, qdot, dt, e, valid, reference, bounds, limits)
         memories = state.memories
         if self.adaptive and self.laws:
-            rows = {
-                "q_bar": q_bar,
-                "pi_hat": inference.pi_hat,
-                "qdot": qdot_bar if self.velocity == "measured" else qdot,
-            }
-            rows = {name: value.expand(*batch, value.shape[-1]) for name, value in rows.items()}
+            velocity = qdot_bar if self.velocity == "measured" else qdot
+            rows = (value.expand(*batch, value.shape[-1]) for value in (q_bar, inference.pi_hat, velocity))
             step = LawStep(
                 self.backbone,
                 inference,
-                **rows,
+                *rows,
                 e=e_seen,
                 dt=dt.expand(batch),
                 T=T,
@@ -265,13 +261,16 @@ class APCCController(Part):
         masks = measurement.mask, measurement.angular_mask
         if self.shape is None or state.shape is None:
             return None, self.feedback.infer(state.q_bar, state.pi_hat, T, *masks)
-        y = measurement.tendons
-        if y is None and self.pressure is None:
-            y = self.tendons(state.q_d, state.pi_hat)
-        told = T, *masks, y, dt, measurement.curvature
+        told = T, *masks, self.known_lengths(state, measurement), dt, measurement.curvature
         return self.shape.infer(self.feedback, state.shape, state.q_bar, state.pi_hat, *told)
 
-    def _filtered(
+    def known_lengths(self, state: ControllerState, measurement: Measurement) -> Tensor | None:
+        """Length changes (..., n_a) that tendons have, m, as measured or as they were told; None of chambers."""
+        if measurement.tendons is None and self.pressure is None:
+            return self.tendons(state.q_d, state.pi_hat)
+        return measurement.tendons
+
+    def filtered(
         self, state: ControllerState, measurement: Measurement, dt: Tensor
     ) -> tuple[PoseFilterState | None, Tensor]:
         """The pose filter's state, and the poses (..., k, 4, 4) that algorithm 2 sees."""

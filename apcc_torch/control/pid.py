@@ -78,7 +78,7 @@ class TendonPID(Part):
         u = K_P * (y_d - y) + K_I * z + K_D * (ydot_d - ydot)
         return within(u if force is None else u + force, self.force_limit)
 
-    def integrate(self, z: Tensor, y: Tensor, y_d: Tensor, dt: float) -> Tensor:
+    def integrate(self, z: Tensor, y: Tensor, y_d: Tensor, dt: float | Tensor) -> Tensor:
         """The integral after dt seconds, (..., n_a) m s."""
         z = z + dt * (y_d - y)
         return within(z, self.integral_limit)

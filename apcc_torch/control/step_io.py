@@ -137,6 +137,11 @@ def check_step(
     return batch_shape(**{"state.q_bar": (state.q_bar, 1), "state.pi_hat": (state.pi_hat, 1), **leading})
 
 
+def elapsed(before: Tensor, now: Tensor, limit: float, like: Tensor) -> Tensor:
+    """The time (...) s between two stamps, at most `limit`, in the type of `like`: stamps may need more digits."""
+    return (now - before).clamp(0.0, limit).to(like.dtype)
+
+
 def measured_tip(
     measurement: Measurement, x_hat: Tensor, valid: Tensor, kinds: SensorKinds | None = None
 ) -> tuple[Tensor, Tensor]:

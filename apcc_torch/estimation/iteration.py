@@ -13,6 +13,7 @@ from apcc_torch.estimation.step import damped_step
 from apcc_torch.linalg import solve_spd
 from apcc_torch.model.kinematic_model import KinematicModel
 from apcc_torch.modes import none_left
+from apcc_torch.repetition import repeated
 from apcc_torch.settings import Setting, aligned
 
 # A seed that is farther off at a sensor, rad and of the sensor's distance along the arm, has lost its way: the shortest
@@ -62,6 +63,16 @@ class _Scored(NamedTuple):
     cost: Tensor  # (...) m^2
     position_cost: Tensor  # (...) m^2
     within: Tensor  # (...) bool, both thresholds are met
+
+
+class _Now(NamedTuple):
+    """Where the iteration is."""
+
+    best: _Scored
+    damping: Tensor  # (...) m^2
+    live: Tensor  # (...) bool, has not ended
+    settled: Tensor  # (...) bool, the last step was negligible
+    iterations: Tensor  # (...) int64, steps computed
 
 
 class _Step(NamedTuple):
@@ -160,18 +171,16 @@ def iterate(backbone: KinematicModel, rules: Rules, q_seed: Tensor, problem: Pro
     live = valid
     if rules.min_iterations == 0:
         live = live & ~best.within
-    settled = torch.zeros_like(live)
-    iterations = torch.zeros_like(live, dtype=torch.int64)
-    for k in range(rules.max_iterations):
-        if none_left(live):
-            break
-        last = k + 1 >= rules.min_iterations
-        step = _step(rules, best.fit, problem.weights, damping, limits, lowest)
-        if k == 0:
+    none = torch.zeros_like(live)
+    now = _Now(best, damping, live, none, torch.zeros_like(live, dtype=torch.int64))
+
+    def once(now: _Now, first: bool, last: bool) -> _Now:
+        best, live = now.best, now.live
+        step = _step(rules, best.fit, problem.weights, now.damping, limits, lowest)
+        if first:
             step = _found(backbone, step, best, problem, lowest)
         negligible = step.negligible & live
-        iterations = iterations + live
-        settled = settled | negligible
+        settled = now.settled | negligible
         trial = Fit(best.fit.q + step.step, step.twist, best.fit.k, best.fit.body)
         # A negligible step that is a row's last is taken on trust, and what it leaves is what it promises: the pose's
         # twist, whose derivative is exact, keeps that promise to second order.
@@ -184,7 +193,16 @@ def iterate(backbone: KinematicModel, rules: Rules, q_seed: Tensor, problem: Pro
         better = _better(rules, scored, best)
         take = ((better | negligible) if trusting else better) & live
         best = _chosen(rules, take, scored, best)
-        if last:
-            live = live & ~(settled | best.within)
-        damping = torch.where(take, 0.1 * damping, 10.0 * damping).clamp(min=floor)
-    return Outcome(best.fit, best.within, settled, valid, iterations)
+        damping = torch.where(take, 0.1 * now.damping, 10.0 * now.damping).clamp(min=floor)
+        still = live & ~(settled | best.within) if last else live
+        return _Now(best, damping, still, settled, now.iterations + live)
+
+    # The first iteration may find a way of its own, and the last of those that are always made is the first to end.
+    apart = min(rules.max_iterations, max(1, rules.min_iterations - 1))
+    for k in range(apart):
+        if none_left(now.live):
+            break
+        now = once(now, k == 0, k + 1 >= rules.min_iterations)
+    now = repeated(lambda now: once(now, False, True), now, rules.max_iterations - apart, lambda now: now.live)
+    best, settled = now.best, now.settled
+    return Outcome(best.fit, best.within, settled, valid, now.iterations)

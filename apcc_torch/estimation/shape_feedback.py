@@ -11,6 +11,7 @@ from torch import Tensor
 from apcc_torch.estimation.arc_fit import ArcFit, ArcFitSettings
 from apcc_torch.estimation.counted import counted
 from apcc_torch.estimation.feedback import Inference
+from apcc_torch.estimation.fit import Problem
 from apcc_torch.estimation.loaded_shape import LoadedShape
 from apcc_torch.estimation.loaded_shape_settings import LoadedShapeSettings
 from apcc_torch.estimation.shape_state import ShapeState
@@ -41,6 +42,21 @@ class FollowedShape(NamedTuple):
 @dataclass(frozen=True, kw_only=True)
 class ShapeFeedbackSettings(LoadedShapeSettings, ArcFitSettings):
     """Settings of `ShapeFeedback`: those of `LoadedShape` and of `ArcFit`."""
+
+
+class _Seen(NamedTuple):
+    """What is measured.
+
+    problem: As algorithm 2 has it. T: (..., k, 4, 4) poses, m. oriented: (..., k) bool, whose orientations count.
+    curvature: (..., n_c, 2) 1/m. told: (...) bool, rows that are told of by what algorithm 2 does not take; None where
+    there is nothing of that.
+    """
+
+    problem: Problem
+    T: Tensor
+    oriented: Tensor
+    curvature: Tensor | None
+    told: Tensor | None
 
 
 class ShapeFeedback(Part):
@@ -136,45 +152,62 @@ class ShapeFeedback(Part):
             state, q_bar, pi_hat, y, dt, curvature: As `forward` has them.
             T, mask, angular_mask: As `StateFeedback.infer` has them.
         """
-        pi_hat, problem = feedback.problem(q_bar.shape[:-1], pi_hat, T, mask, angular_mask)
-        batch = pi_hat.shape[:-1]
+        pi_hat, seen = self._seen(feedback, q_bar, pi_hat, T, mask, angular_mask, curvature)
+        batch, problem = pi_hat.shape[:-1], seen.problem
         q_bar = q_bar.expand(*batch, q_bar.shape[-1])
         y = None if y is None else y.expand(*batch, y.shape[-1])
-        if curvature is not None:
-            curvature = curvature.expand(*batch, *curvature.shape[-2:])
-        oriented = torch.zeros_like(problem.oriented) if feedback.mode == "position" else problem.oriented
-        rotation, oriented, told = self._inertial(T, mask, angular_mask, problem.rotation, oriented, curvature)
-        seen = se3.pose(rotation, problem.position)
-        later, found = self(state, q_bar, pi_hat, seen, problem.usable, oriented, y, dt.expand(batch), curvature)
+        later, found = self(
+            state, q_bar, pi_hat, seen.T, problem.usable, seen.oriented, y, dt.expand(batch), seen.curvature
+        )
         problem = problem._replace(points=self.sensors_on(later.shape, found, pi_hat))
         step = torch.cat(
             (found - self._seed(q_bar, state, pi_hat), self.shape.change(state.shape, later.shape)), dim=-1
         )
         misfit = later.shape.misfit > MISFIT**2
-        return later, feedback.judged(found, pi_hat, problem, step.abs().amax(-1), misfit, told)
+        return later, feedback.judged(found, pi_hat, problem, step.abs().amax(-1), misfit, seen.told)
 
-    def _inertial(
+    def covariance(
         self,
+        feedback: StateFeedback,
+        state: FollowedShape,
+        q_bar: Tensor,
+        pi_hat: Tensor,
         T: Tensor,
         mask: Tensor | None,
         angular_mask: Tensor | None,
-        rotation: Tensor,
-        oriented: Tensor,
+        y: Tensor | None,
+        dt: Tensor,
+        curvature: Tensor | None = None,
+    ) -> Tensor:
+        """`LoadedShape.covariance` (..., n + 1, n + 1) of what `infer` finds with the same arguments."""
+        pi_hat, seen = self._seen(feedback, q_bar, pi_hat, T, mask, angular_mask, curvature)
+        told = y, dt.expand(pi_hat.shape[:-1]), seen.curvature
+        return self.shape.covariance(state.shape, seen.T, seen.problem.usable, seen.oriented, *told)
+
+    def _seen(
+        self,
+        feedback: StateFeedback,
+        q_bar: Tensor,
+        pi_hat: Tensor,
+        T: Tensor,
+        mask: Tensor | None,
+        angular_mask: Tensor | None,
         curvature: Tensor | None,
-    ) -> tuple[Tensor, Tensor, Tensor | None]:
-        """Rotations (..., k, 3, 3) and which of them count, with those of inertial units, and rows (...) that are told
-        of by what algorithm 2 does not take; None where there is nothing of that.
-        """
-        kinds, told = self.shape.kinds, None
+    ) -> tuple[Tensor, _Seen]:
+        """pi_hat and what is measured, of one leading shape, with the inertial units that algorithm 2 does not take."""
+        pi_hat, problem = feedback.problem(q_bar.shape[:-1], pi_hat, T, mask, angular_mask)
+        oriented = torch.zeros_like(problem.oriented) if feedback.mode == "position" else problem.oriented
+        rotation, kinds, told = problem.rotation, self.shape.kinds, None
         if kinds is not None and kinds.inertial:
             turned = counted(T, kinds, mask, angular_mask)[1] & kinds.drifting.to(T.device)
             turned = turned.expand(oriented.shape)
             rotation = torch.where(turned[..., None, None], T[..., :3, :3], rotation)
             oriented, told = oriented | turned, turned.any(-1)
         if curvature is not None:
+            curvature = curvature.expand(*pi_hat.shape[:-1], *curvature.shape[-2:])
             known = torch.isfinite(curvature).flatten(-2).any(-1)
             told = known if told is None else told | known
-        return rotation, oriented, told
+        return pi_hat, _Seen(problem, se3.pose(rotation, problem.position), oriented, curvature, told)
 
     def _seed(self, q_bar: Tensor, state: FollowedShape, pi_hat: Tensor) -> Tensor:
         """The last q_bar (..., n) with its sections as long as they were: rest lengths may have moved since."""

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from apcc_torch.control.controller import APCCController
@@ -15,6 +17,8 @@ from apcc_torch.control.trajectory import Trajectory
 from apcc_torch.errors import ConfigError
 from apcc_torch.hardware.interfaces import Array
 from apcc_torch.hardware.sensing import GatedFrame
+from apcc_torch.native.standing import StandingCall
+from apcc_torch.native.structure import mapped
 
 Step = Callable[[ControllerState, Measurement, Target], tuple[ControllerState, Command]]
 """One control step: the controller itself, or a compiled form of it."""
@@ -38,6 +42,18 @@ def blank_step(controller: APCCController, pi_hat: Tensor) -> tuple[ControllerSt
     )
     measurement = Measurement(T, time, every, every, tendons=y if controller.pressure is None else None)
     return controller.initial_state(q, pi_hat, time), measurement, Target(zero, zero)
+
+
+class Goal(NamedTuple):
+    """Where the end effector should be: x_d (3,) m, and xdot_d (3,) m/s."""
+
+    x_d: Array
+    xdot_d: Array
+
+
+def warmed_up(controller: APCCController, state: ControllerState, pi_hat: Tensor) -> Tensor:
+    """q (..., n) of the shape that a warm-up has found: what it made rest length is elongation of pi_hat again."""
+    return state.q_bar + controller.backbone.coordinates.on_elongations(state.pi_hat - pi_hat)
 
 
 @dataclass(frozen=True)
@@ -80,20 +96,26 @@ class Start:
 
 
 class Control:
-    """Runs the controller on frames.
+    """Runs the controller on frames. Its state, its measurement and its command stay in the same memory.
 
     Args:
         controller: With a routing.
         trajectory: Targets over the time since the start.
         pi_hat: (n_b,) first estimates, m.
         step: The step to call; None for the controller itself.
+        targets: What the trajectory comes to at a time, such as a compiled form of it; None for itself.
 
     Raises:
         ConfigError: The controller has no routing.
     """
 
     def __init__(
-        self, controller: APCCController, trajectory: Trajectory, pi_hat: Tensor, step: Step | None = None
+        self,
+        controller: APCCController,
+        trajectory: Trajectory,
+        pi_hat: Tensor,
+        step: Step | None = None,
+        targets: Callable[[Tensor], Target] | None = None,
     ) -> None:
         if controller.routing is None:
             raise ConfigError("the controller of an arm needs a tendon routing")
@@ -104,19 +126,28 @@ class Control:
         self.trajectory = trajectory
         self.pi_hat = pi_hat
         self.step: Step = controller if step is None else step
-        self.state = self._initial(torch.zeros(controller.backbone.n, dtype=pi_hat.dtype), pi_hat, 0.0)
+        self._call = StandingCall(self.step, blank_step(controller, pi_hat), carries=True)
+        self._aim = StandingCall(targets or trajectory, (torch.zeros((), dtype=pi_hat.dtype),))
 
-    def _initial(self, q: Tensor, pi_hat: Tensor, time: float) -> ControllerState:
-        return self.controller.initial_state(q, pi_hat, torch.tensor(time, dtype=torch.float64))
+    @property
+    def state(self) -> ControllerState:
+        """What the controller remembers, as it is now."""
+        given = self._call.given[0]
+        state: ControllerState = mapped(lambda array: torch.from_numpy(array.copy()), given)
+        return state
 
-    def _measurement(self, frame: GatedFrame, lengths: Array, time: float) -> Measurement:
-        return Measurement(
-            torch.from_numpy(frame.T).to(self.pi_hat.dtype),
-            torch.tensor(time, dtype=torch.float64),
-            torch.from_numpy(frame.position_ok),
-            torch.from_numpy(frame.orientation_ok),
-            tendons=None if self.sets_pressure else torch.from_numpy(lengths).to(self.pi_hat.dtype),
-        )
+    def _set(self, q: Tensor, pi_hat: Tensor, time: float) -> None:
+        state = self.controller.initial_state(q, pi_hat, torch.tensor(time, dtype=torch.float64))
+        mapped(lambda array, value: np.copyto(array, value.numpy()), self._call.given[0], state)
+
+    def _measured(self, frame: GatedFrame, lengths: Array, time: float) -> None:
+        measurement = self._call.given[1]
+        measurement.T[...] = frame.T
+        measurement.time[...] = time
+        measurement.mask[...] = frame.position_ok
+        measurement.angular_mask[...] = frame.orientation_ok
+        if not self.sets_pressure:
+            measurement.tendons[...] = lengths
 
     def warm_up(
         self, frame: GatedFrame, lengths: Array, steps: int, period: float, now: Callable[[], float]
@@ -135,13 +166,13 @@ class Control:
         Returns:
             Each step's time, s.
         """
-        still = torch.zeros(3, dtype=self.pi_hat.dtype)
+        target = self._call.given[2]
+        target.x_d[...], target.xdot_d[...] = frame.T[-1, :3, 3], 0.0
         took = []
         for k in range(steps):
             began = now()
-            measurement = self._measurement(frame, lengths, (k + 1) * period)
-            target = Target(measurement.T[-1, :3, 3], still)
-            self.state, _ = self.step(self.state, measurement, target)
+            self._measured(frame, lengths, (k + 1) * period)
+            self._call()
             took.append(now() - began)
         return took
 
@@ -151,47 +182,50 @@ class Control:
         Args:
             time: Stamp before the first measurement, s.
         """
-        # The shape stays: what the warm-up made rest length is elongation again.
-        learnt = self.state.pi_hat - self.pi_hat
-        q = self.state.q_bar + self.controller.backbone.coordinates.on_elongations(learnt)
-        self.state = self._initial(q, self.pi_hat, time)
+        q = warmed_up(self.controller, self.state, self.pi_hat)
+        self._set(q, self.pi_hat, time)
         return Start(numbers(q), numbers(self.pi_hat), time)
 
     def restart(self, start: Start) -> None:
         """Goes to a start that was recorded."""
         q, pi_hat = (torch.from_numpy(v).to(self.pi_hat.dtype) for v in (start.q, start.pi_hat))
-        self.state = self._initial(q, pi_hat, start.time)
+        self._set(q, pi_hat, start.time)
 
-    def decide(self, frame: GatedFrame, lengths: Array, time: float, target: Target | None = None) -> Decision:
+    def decide(self, frame: GatedFrame, lengths: Array, time: float, goal: Goal | None = None) -> Decision:
         """One step.
 
         Args:
             frame: A usable frame.
             lengths: (n_a,) measured length changes of the tendons, m; not used of chambers, which have none.
             time: The frame's stamp, s since the start.
-            target: Where to go; None for the trajectory's.
+            goal: Where to go; None for the trajectory's.
 
         Raises:
             ApccError: The controller refuses its input.
         """
-        measurement = self._measurement(frame, lengths, time)
-        if target is None:
-            target = self.trajectory(measurement.time.to(self.pi_hat.dtype))
-        self.state, command = self.step(self.state, measurement, target)
+        self._measured(frame, lengths, time)
+        target = self._call.given[2]
+        if goal is None:
+            self._aim.given[0][...] = time
+            self._aim()
+            aimed = self._aim.results
+            goal = Goal(aimed.x_d, aimed.xdot_d)
+        target.x_d[...], target.xdot_d[...] = goal
+        self._call()
+        state, command = self._call.results
         feedback = command.feedback
-        y = command.y
-        if y is None:
+        if command.y is None:
             raise ConfigError("the step of a controller with tendons must return their lengths")
         return Decision(
             time,
             numbers(target.x_d),
             numbers(target.xdot_d),
             numbers(command.e),
-            numbers(y),
+            numbers(command.y),
             numbers(feedback.q_bar),
             numbers(command.qdot),
             numbers(command.q_d),
-            numbers(self.state.pi_hat),
+            numbers(state.pi_hat),
             int(feedback.status),
             int(feedback.iterations),
             numbers(feedback.angular_error),
@@ -200,6 +234,6 @@ class Control:
         )
 
 
-def numbers(value: Tensor) -> Array:
-    """A tensor as float64 numbers, bit for bit where it is float64."""
-    return np.asarray(value.detach().numpy(), dtype=np.float64)
+def numbers(value: Tensor | NDArray[Any]) -> Array:
+    """A copy as float64 numbers, bit for bit where it is float64."""
+    return np.array(value.numpy() if isinstance(value, Tensor) else value, dtype=np.float64)

@@ -7,9 +7,8 @@ from typing import NamedTuple
 import numpy as np
 import torch
 
-from apcc_torch.control.step_io import Target
 from apcc_torch.errors import DataError
-from apcc_torch.hardware.control import Control, Start
+from apcc_torch.hardware.control import Control, Goal, Start
 from apcc_torch.hardware.interfaces import Array
 from apcc_torch.hardware.log_format import layouts
 from apcc_torch.hardware.log_reader import RobotLog
@@ -58,8 +57,8 @@ def replay(log: RobotLog, control: Control) -> Replayed:
             if tick not in frames or tick not in targets or tick not in lengths:
                 raise DataError(f"the log lacks what the control step of turn {tick} was given")
             frame, target = _frame(frames[tick]), targets[tick]
-            x_d, xdot_d = (torch.from_numpy(target[name].copy()).to(control.pi_hat.dtype) for name in ("x_d", "xdot_d"))
-            replayed.append(control.decide(frame, lengths[tick], float(step["time"]), Target(x_d, xdot_d)).y)
+            goal = Goal(target["x_d"], target["xdot_d"])
+            replayed.append(control.decide(frame, lengths[tick], float(step["time"]), goal).y)
     count = len(replayed)
     return Replayed(steps["time"][:count], steps["y"][:count], np.array(replayed))
 

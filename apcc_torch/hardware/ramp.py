@@ -10,10 +10,9 @@ import torch
 from torch import Tensor
 
 from apcc_torch.control.controller import APCCController
-from apcc_torch.control.step_io import Target
 from apcc_torch.control.trajectory import SetPoint
 from apcc_torch.errors import ConfigError, ValueRangeError
-from apcc_torch.hardware.control import Control, Decision, Step
+from apcc_torch.hardware.control import Control, Decision, Goal, Step
 from apcc_torch.hardware.interfaces import Array
 from apcc_torch.hardware.sensing import GatedFrame
 from apcc_torch.settings import OURS, PAPER, Settings, resolved, setting
@@ -73,10 +72,9 @@ class RampControl(Control):
         super().__init__(controller, SetPoint(torch.zeros(3, dtype=pi_hat.dtype)), pi_hat, step)
         self.ramp = ramp
 
-    def decide(self, frame: GatedFrame, lengths: Array, time: float, target: Target | None = None) -> Decision:
+    def decide(self, frame: GatedFrame, lengths: Array, time: float, goal: Goal | None = None) -> Decision:
         """One step: the ramp's lengths, and what the controller infers."""
-        if target is None:
-            tip = torch.tensor(frame.T[-1, :3, 3], dtype=self.pi_hat.dtype)
-            target = Target(tip, torch.zeros_like(tip))
-        decision, way = super().decide(frame, lengths, time, target), self.ramp.at(time)
+        if goal is None:
+            goal = Goal(frame.T[-1, :3, 3], np.zeros(3))
+        decision, way = super().decide(frame, lengths, time, goal), self.ramp.at(time)
         return replace(decision, pressure=way) if self.sets_pressure else replace(decision, y=way)

@@ -21,12 +21,13 @@ _STORAGE = {
 _SUFFIX = {FLOAT: "", INT: "_int", BOOL: "_bool"}
 
 
-def driver(trace: Trace, parts: int, carried: list[tuple[int, int]]) -> str:
+def driver(trace: Trace, parts: int, calls: list[str], carried: list[tuple[int, int]]) -> str:
     """C++ that runs a program on rows.
 
     Args:
         trace: From `traced`.
         parts: How many functions the program has.
+        calls: What runs them.
         carried: Pairs (output, input): what a repetition hands to the next.
     """
     inputs, outputs = places(trace.inputs)[0], places(trace.outputs)[0]
@@ -45,7 +46,6 @@ def driver(trace: Trace, parts: int, carried: list[tuple[int, int]]) -> str:
         array = ARRAY[kind]
         carry.append(f"std::memcpy(in.{array} + {inputs[into]}, out.{array} + {outputs[output]}, {size});")
     text = files(__package__).joinpath("driver.hpp").read_text()
-    calls = [f"part_{k}(in, numbers, s, out);" for k in range(parts)]
     for word, lines in {"LOADS": loads, "STORES": stores, "CARRY": carry, "CALLS": calls}.items():
         text = text.replace(f"@{word}@", "\n            ".join(lines))
-    return text
+    return text.replace("@PARTS@", ", ".join(f"(const char*)part_{k}" for k in range(parts)))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import os
+from collections.abc import Callable
 from typing import Any
 
 import torch
@@ -40,6 +41,18 @@ def one_row(module: nn.Module) -> tuple[nn.Module, tuple[Tensor, ...]]:
         return module, ()
     extra = tuple(tensor[(0,) * (tensor.dim() - trailing)].clone() for tensor, trailing in rows.values())
     return _Rows(module, list(rows)), extra
+
+
+class _Ready:
+    """Machine code with its arguments, and all that must be alive when it runs."""
+
+    __slots__ = ("_arguments", "_kept", "_run")
+
+    def __init__(self, run: Any, arguments: tuple[Any, ...], kept: list[Tensor]) -> None:
+        self._run, self._arguments, self._kept = run, arguments, kept
+
+    def __call__(self) -> None:
+        self._run(*self._arguments)
 
 
 class NativeFunction:
@@ -146,9 +159,33 @@ class NativeFunction:
         if rows == 0:
             outputs = [torch.empty((*batch, *leaf.shape), dtype=leaf.dtype) for leaf in self._outputs]
             return rebuilt(self._like, iter(outputs))
+        outputs = [torch.empty((*batch, *leaf.shape), dtype=leaf.dtype) for leaf in self._outputs]
+        self._ready(given, outputs, batch, repeats)()
+        return rebuilt(self._like, iter(outputs))
+
+    def blank(self, given: list[Tensor]) -> Any:
+        """What a call with these flattened arguments returns, of zeros."""
+        batch = self._batch([*given, *self._rows])
+        return rebuilt(self._like, (torch.zeros((*batch, *leaf.shape), dtype=leaf.dtype) for leaf in self._outputs))
+
+    def bound(self, given: list[Tensor], outputs: list[Tensor]) -> Callable[[], None]:
+        """A call on tensors that stay where they are, which may be made again and again.
+
+        Args:
+            given: The flattened arguments, contiguous.
+            outputs: The flattened results, contiguous, of the arguments' leading shape; each call overwrites them.
+
+        Raises:
+            ShapeError, DtypeError: They are not the example's with leading dimensions.
+        """
+        given = [*given, *self._rows]
+        return self._ready(given, outputs, self._batch(given))
+
+    def _ready(self, given: list[Tensor], outputs: list[Tensor], batch: torch.Size, repeats: int = 1) -> _Ready:
+        """A call that needs nothing more."""
         pointers = (ctypes.c_void_p * len(given))()
         strides = (ctypes.c_long * len(given))()
-        kept = []  # alive until the call returns
+        kept = []  # alive as long as the call
         for k, (tensor, leaf) in enumerate(zip(given, self._inputs, strict=True)):
             if tensor.shape != leaf.shape:
                 if tensor.shape[: tensor.dim() - len(leaf.shape)] != batch:
@@ -157,12 +194,11 @@ class NativeFunction:
             tensor = tensor.contiguous()
             kept.append(tensor)
             pointers[k] = tensor.data_ptr()
-        outputs = [torch.empty((*batch, *leaf.shape), dtype=leaf.dtype) for leaf in self._outputs]
         targets = (ctypes.c_void_p * len(outputs))(*[t.data_ptr() for t in outputs])
-        threads = self.threads or torch.get_num_threads()
+        rows = batch.numel()
         code = self.program(self.lanes(rows))
-        code.run(rows, repeats, threads, code.numbers, pointers, strides, targets)
-        return rebuilt(self._like, iter(outputs))
+        arguments = rows, repeats, self.threads or torch.get_num_threads(), code.numbers, pointers, strides, targets
+        return _Ready(code.run, arguments, [*kept, *outputs])
 
     def _batch(self, given: list[Tensor]) -> torch.Size:
         """The broadcast of the leading dimensions."""

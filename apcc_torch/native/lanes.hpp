@@ -2,8 +2,6 @@
 // A comparison of vectors gives a vector of masks, of single numbers a truth value; both serve as conditions below.
 #include <cmath>
 #include <cstring>
-#include <thread>
-#include <vector>
 
 #if LANES == 1
 typedef REAL V;
@@ -37,8 +35,8 @@ static inline REAL& lane(V& x, int w) { return reinterpret_cast<REAL*>(&x)[w]; }
 static inline INTEGER& lane_int(I& x, int w) { return reinterpret_cast<INTEGER*>(&x)[w]; }
 
 // What is not a number wins, as in torch.
-static inline V max_(V a, V b) { return (a > b) | (a != a) ? a : b; }
-static inline V min_(V a, V b) { return (a < b) | (a != a) ? a : b; }
+static inline V max_(V a, V b) { return ((a > b) | (a != a)) ? a : b; }
+static inline V min_(V a, V b) { return ((a < b) | (a != a)) ? a : b; }
 static inline I max_int(I a, I b) { return a > b ? a : b; }
 static inline I min_int(I a, I b) { return a < b ? a : b; }
 static inline V abs_(V a) { return a < 0 ? -a : a; }

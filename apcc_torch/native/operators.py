@@ -117,6 +117,7 @@ OPERATORS: dict[str, Operator] = {
     "aten.mv": product,
     "aten.ne": entrywise("ne"),
     "aten.neg": entrywise("neg"),
+    "aten.new_zeros": lambda a, dtype, x, shape, **_: filled(a, dtype, shape, 0),
     "aten.ones": filling(1),
     "aten.ones_like": filling(1),
     "aten.pow": power,

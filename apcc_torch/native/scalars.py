@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 import operator
 from collections.abc import Callable
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 Constant = float | int | bool
@@ -24,7 +25,7 @@ FLOAT, INT, BOOL = "f", "i", "b"
 class Expression(NamedTuple):
     """One operation on other expressions.
 
-    op: Name of the operation; "constant", "held" and "input" have no operands.
+    op: Name of the operation; "constant", "held", "input", "variable" and "outcome" have no operands.
     operands: Indices of the operands.
     kind: FLOAT, INT or BOOL.
     value: What it comes to, where that is known now; of an input its number.
@@ -34,6 +35,32 @@ class Expression(NamedTuple):
     operands: tuple[int, ...]
     kind: str
     value: Constant | None = None
+
+
+class Entry(NamedTuple):
+    """A scalar of a loop's state."""
+
+    loop: int
+    place: int
+
+
+@dataclass
+class Loop:
+    """Expressions that are computed again and again, on what they came to the time before.
+
+    parent: The loop in which it runs, None for none. times: Most rounds.
+    variables, initial, results, outcomes: Of each scalar of its state the expression that stands for it within the
+        loop, the one it begins with, the one it goes on with, and the one that stands for it afterwards.
+    going: Place in the state of the truth value that asks for another round.
+    """
+
+    parent: int | None
+    times: int
+    variables: list[int] = field(default_factory=list)
+    initial: list[int] = field(default_factory=list)
+    results: list[int] = field(default_factory=list)
+    outcomes: list[int] = field(default_factory=list)
+    going: int | None = None
 
 
 def _shapes(value: float) -> bool:
@@ -85,6 +112,8 @@ class Scalars:
 
     def __init__(self) -> None:
         self.expressions: list[Expression] = []
+        self.loops: list[Loop] = []
+        self.entry_of: dict[int, Entry] = {}
         self._known: dict[tuple[str, tuple[int, ...], str, str, str], int] = {}
 
     def __getitem__(self, index: int) -> Expression:
@@ -113,6 +142,12 @@ class Scalars:
     def input(self, number: int, kind: str) -> int:
         """The input of this number."""
         return self._add("input", (), kind, number)
+
+    def entry(self, op: str, loop: int, place: int, kind: str) -> int:
+        """A scalar of a loop's state: its "variable" within the loop, or its "outcome" afterwards."""
+        index = self._add(op, (), kind, origin=f"{loop}.{place}")
+        self.entry_of[index] = Entry(loop, place)
+        return index
 
     def known(self, index: int) -> Constant | None:
         """What an expression comes to, None where that is not known now."""

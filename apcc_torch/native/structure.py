@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import torch
@@ -32,7 +32,7 @@ def _flatten(item: Any, result: list[Tensor]) -> None:
         raise CompileError(f"a compiled function takes and returns tensors in tuples, not a {type(item).__name__}")
 
 
-def rebuilt(like: Any, leaves: Iterator[Tensor]) -> Any:
+def rebuilt(like: Any, leaves: Iterator[Any]) -> Any:
     """`like` with its tensors replaced in order."""
     if isinstance(like, Tensor):
         return next(leaves)
@@ -40,6 +40,16 @@ def rebuilt(like: Any, leaves: Iterator[Tensor]) -> Any:
         return None
     parts = [rebuilt(part, leaves) for part in like]
     return type(like)(*parts) if hasattr(like, "_fields") else tuple(parts)
+
+
+def mapped(function: Callable[..., Any], *items: Any) -> Any:
+    """Nested tuples of one form with `function` of their leaves in place of these."""
+    if items[0] is None:
+        return None
+    if not isinstance(items[0], tuple):
+        return function(*items)
+    parts = [mapped(function, *each) for each in zip(*items, strict=True)]
+    return type(items[0])(*parts) if hasattr(items[0], "_fields") else tuple(parts)
 
 
 def described(item: Any) -> str:

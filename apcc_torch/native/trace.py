@@ -12,10 +12,12 @@ from torch.overrides import TorchFunctionMode
 from torch.utils._python_dispatch import TorchDispatchMode
 
 from apcc_torch.errors import CompileError
+from apcc_torch.native.loops import looped
 from apcc_torch.native.operators import MOVES, OPERATORS
 from apcc_torch.native.scalars import Scalars
 from apcc_torch.native.structure import flattened, rebuilt
 from apcc_torch.native.values import Arithmetic, Value, kind_of
+from apcc_torch.repetition import recorded_by
 
 Function = Callable[..., Any]
 
@@ -65,13 +67,13 @@ def traced(function: Function, example: tuple[Any, ...]) -> Trace:
     Raises:
         CompileError: It cannot be traced, or uses an operation that is not in the table.
     """
-    recorder = _Recorder()
+    recorder = Recorder()
     # Each argument a tensor of its own: two that are one tensor here may be two at a call.
     given = [leaf.detach().clone() for leaf in flattened(example)]
     inputs = [Leaf(tuple(leaf.shape), leaf.dtype) for leaf in given]
     symbols = recorder.inputs(given)
     try:
-        with torch.no_grad(), _compiling(), _Whole(recorder), recorder:
+        with torch.no_grad(), _compiling(), _Whole(recorder), recorder, recorded_by(recorder.repeated):
             returned = function(*rebuilt(example, iter(symbols)))
     except CompileError:
         raise
@@ -124,7 +126,7 @@ def _symbol(value: Value, row: Tensor) -> _Symbol:
     return made
 
 
-class _Recorder(TorchDispatchMode):
+class Recorder(TorchDispatchMode):
     """Runs each of torch's operations on scalar expressions too."""
 
     def __init__(self) -> None:
@@ -132,6 +134,7 @@ class _Recorder(TorchDispatchMode):
         self.arithmetic = Arithmetic()
         self._held: dict[int, tuple[Tensor, Value]] = {}
         self._inside = False
+        self._loops: list[int] = []
 
     def inputs(self, given: list[Tensor]) -> list[_Symbol]:
         """Symbols of the arguments."""
@@ -142,6 +145,51 @@ class _Recorder(TorchDispatchMode):
             entries = torch.tensor(flat, dtype=torch.int64).reshape(leaf.shape)
             symbols.append(_symbol(Value(entries, leaf.dtype), leaf))
         return symbols
+
+    @property
+    def inner(self) -> int | None:
+        """The innermost loop that is being written out, None outside of loops."""
+        return self._loops[-1] if self._loops else None
+
+    @contextmanager
+    def _noting(self, noting: bool) -> Iterator[None]:
+        """Inside, torch's operations are noted, or are not."""
+        before, self._inside = self._inside, not noting
+        try:
+            yield
+        finally:
+            self._inside = before
+
+    @contextmanager
+    def within(self, loop: int) -> Iterator[None]:
+        """What is noted inside is of this loop."""
+        self._loops.append(loop)
+        try:
+            with self._noting(True):
+                yield
+        finally:
+            self._loops.pop()
+
+    def repeated(self, body: Callable[[Any], Any], state: Any, times: int, going: Callable[[Any], Tensor]) -> Any:
+        """As `repetition.repeated`."""
+        if times <= 1:
+            return body(state) if times else state
+        begun = going(state)
+        with self._noting(False):
+            return looped(self, body, state, times, going, begun)
+
+    def symbols(self, like: list[Tensor], values: list[Value], indices: list[int]) -> list[_Symbol]:
+        """Tensors of the same forms, of these expressions one after the other."""
+        symbols, number = [], 0
+        for leaf, value in zip(like, values, strict=True):
+            entries = torch.tensor(indices[number : (number := number + value.entries.numel())], dtype=torch.int64)
+            symbols.append(_symbol(Value(entries.reshape(value.entries.shape), value.dtype), _rows(leaf)))
+        return symbols
+
+    def truth(self, condition: Tensor) -> int:
+        """Whether a condition holds anywhere in the row."""
+        entries: list[int] = self.value(condition).entries.flatten().tolist()
+        return self.arithmetic.folded("or", entries)
 
     def value(self, item: Any) -> Any:
         """Tensors replaced by their expressions; one that is no symbol is held by the function."""
@@ -212,7 +260,7 @@ class _Recorder(TorchDispatchMode):
 class _Whole(TorchFunctionMode):
     """Keeps functions whole that have a rule of their own, and that torch would take apart."""
 
-    def __init__(self, recorder: _Recorder) -> None:
+    def __init__(self, recorder: Recorder) -> None:
         super().__init__()
         self._recorder = recorder
 

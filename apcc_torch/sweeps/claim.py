@@ -27,7 +27,7 @@ from apcc_torch.sweeps.folder_lock import FolderLock
 
 log = plain_logger("apcc_torch")
 
-RESULTS = (METRICS, PRUNED, "log.mcap")
+RESULTS = (METRICS, PRUNED, "log.mcap", "CMakeLists.txt")
 """Files that a run is known by, which another one must not replace unasked."""
 BESIDE = (
     *("trajectory.npz", "replay.npz", "events.json", "table.*", "searched.json", "parameters.json", "data/*.npz"),

@@ -15,7 +15,7 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from hypothesis import strategies as st
 from omegaconf import DictConfig, OmegaConf
 
-from apcc_torch import benchmark, evaluate, identify, robot, simulate
+from apcc_torch import benchmark, evaluate, export, identify, robot, simulate
 from apcc_torch.errors import ConfigError
 from apcc_torch.processes import again
 from apcc_torch.sweeps.claim import RESULTS, Claim, dir_override, given, place
@@ -173,6 +173,7 @@ PROGRAMS = {
     "benchmark": (benchmark, "run", ("grid=small",)),
     "identify": (identify.identification, "run", ("arm=ftdcr_v6", "data={sessions:{one:{file:one.csv}}}")),
     "evaluate": (evaluate.evaluation, "run", ("data=trunk",)),
+    "export": (export.exported, "run", ("arm=arm_2",)),
     "robot": (robot.arm_run, "run", ("experiment=setpoint",)),
 }
 
