@@ -24,6 +24,8 @@ from apcc_torch.viewing.recorded import Recorded
 
 SCENE_PERIOD = 0.05
 """Least time between two scenes, s: they are what is large in a file."""
+FARTHEST = 1e6
+"""Of what is drawn, m; what a damaged log says may be anywhere."""
 PREFIX = "/log"
 """What stands before a log's own topics."""
 FAILURES = frozenset(reason.value for reason in StopReason if reason.failed)
@@ -95,7 +97,7 @@ def _instants(stream: FoxgloveStream, run: Recorded, row: int, began: int, sense
         moment = run.moment(k, row)
         if sensed and moment.sensors is not None:
             stream.measured(moment.sensors, stamp)
-        if drawn and np.isfinite(moment.sections).all():
+        if drawn and np.abs(moment.sections).max() < FARTHEST:
             stream.scene(moment, stamp)
 
     due, shown = [], -math.inf

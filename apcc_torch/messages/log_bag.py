@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import torch
 
+from apcc_torch.errors import DataError
 from apcc_torch.hardware.log_export import recording_of
 from apcc_torch.hardware.log_format import EVENT_TOPIC, HEADER
 from apcc_torch.hardware.log_reader import RobotLog
@@ -34,7 +35,7 @@ def write_bag(log: RobotLog, path: Path | str, run: Recorded | None = None) -> P
     `/target` is the tip's, `/tf` has the arm's base and tip, and `/arm` its line for RViz.
 
     Args:
-        log: The log.
+        log: The log; a topic whose type is none of ROS 2 is left out and named among its damage.
         path: The bag's folder, which must not be there yet.
         run: The log as a run; None where the settings of its controller cannot be had.
 
@@ -50,9 +51,13 @@ def write_bag(log: RobotLog, path: Path | str, run: Recorded | None = None) -> P
             _add_run(bag, run, began)
         for topic, rows in log.topics.items():
             layout = log.layouts[topic]
+            try:
+                bag.declare(PREFIX + topic, layout.schema_name, layout.definition)
+            except DataError as error:
+                log.damage.append(str(error))
+                continue
             for row, stamp in zip(rows, log.stamps[topic].tolist(), strict=True):
-                content = HEADER + row.tobytes()
-                bag.add_encoded(PREFIX + topic, layout.schema_name, layout.definition, content, stamp)
+                bag.add_encoded(PREFIX + topic, HEADER + row.tobytes(), stamp)
         for event, stamp in zip(log.events, log.stamps.get(EVENT_TOPIC, np.empty(0)).tolist(), strict=True):
             bag.add(REMARKS, _remark(bag, event, stamp), stamp)
     return Path(path)

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from apcc_torch.errors import ConfigError
+from apcc_torch.errors import ConfigError, DataError, in_a_line
 from apcc_torch.files import draft_folder_of
 
 SECOND = 10**9
@@ -30,6 +30,7 @@ class BagFile:
     def __init__(self, writer: Any, store: Any) -> None:
         self.writer, self.store = writer, store
         self.connections: dict[str, Any] = {}
+        self.own: dict[str, str] = {}
 
     def make(self, kind: str, **fields: Any) -> Any:
         """A message; `kind` such as geometry_msgs/msg/Point."""
@@ -42,27 +43,31 @@ class BagFile:
             self.connections[topic] = self.writer.add_connection(topic, kind, typestore=self.store)
         self.writer.write(self.connections[topic], stamp, self.store.serialize_cdr(message, kind))
 
-    def add_encoded(self, topic: str, kind: str, definition: str, content: bytes, stamp: int) -> None:
-        """Writes a message of a type of one's own, as CDR.
+    def declare(self, topic: str, kind: str, definition: str) -> None:
+        """Makes a topic of messages of a type of one's own.
 
         Args:
-            topic: Of the message.
-            kind: Name of its type.
+            topic: Of the messages.
+            kind: Name of their type.
             definition: The ROS 2 message definition.
-            content: The message.
-            stamp: Of the message.
+
+        Raises:
+            DataError: That is no type of ROS 2, or another one of that name is in the bag.
         """
-        if topic not in self.connections:
-            self._register(kind, definition)
-            told = {"msgdef": definition, "rihs01": self.store.hash_rihs01(kind)}
-            self.connections[topic] = self.writer.add_connection(topic, kind, **told)
-        self.writer.write(self.connections[topic], stamp, content)
+        from rosbags.typesys import TypesysError, get_types_from_msg
 
-    def _register(self, kind: str, definition: str) -> None:
-        from rosbags.typesys import get_types_from_msg
-
-        if kind not in self.store.types:
+        if self.own.setdefault(kind, definition) != definition:
+            raise DataError(f"{topic} has another type of the name {kind} than a topic before it")
+        try:
             self.store.register(get_types_from_msg(definition, kind))
+            told = {"msgdef": definition, "rihs01": self.store.hash_rihs01(kind)}
+        except (TypesysError, KeyError) as error:
+            raise DataError(f"{topic} has no type of ROS 2 ({in_a_line(error)[:80]})") from error
+        self.connections[topic] = self.writer.add_connection(topic, kind, **told)
+
+    def add_encoded(self, topic: str, content: bytes, stamp: int) -> None:
+        """Writes a message of a topic that was declared, as CDR."""
+        self.writer.write(self.connections[topic], stamp, content)
 
     # Messages of more than one part
 

@@ -27,7 +27,7 @@ from composed import composed_realtime
 pytest.importorskip("foxglove", reason="foxglove-sdk is not installed")
 pytest.importorskip("mcap")
 
-from mcap.records import Message
+from mcap.records import Message, Schema
 
 from mcap_mutations import records, written
 
@@ -236,6 +236,16 @@ def test_a_log_without_targets_still_gives_its_own_topics(logged: Logged, tmp_pa
         assert code == 2 and "the arm, its tip and target are left out: the log has no messages of /target" in err
     assert "/log/controller" in decoded(tmp_path / "f.mcap")
     assert "/body1" in decoded(next((tmp_path / "b").glob("*.mcap")))
+
+
+def test_a_type_that_ros_has_not_is_left_out_of_the_bag(logged: Logged, tmp_path: Path) -> None:
+    parts = records(logged.path.read_bytes())
+    next(part for part in parts if isinstance(part, Schema) and part.name.endswith("/Timing")).name = "apcc_torch/msg/'"
+    (tmp_path / "log.mcap").write_bytes(written(parts))
+    code, _, err = told("bag", str(tmp_path / "log.mcap"), "--out", str(tmp_path / "b"))
+    assert code == 2 and "/log/timing has no type of ROS 2" in err
+    topics = decoded(next((tmp_path / "b").glob("*.mcap")))
+    assert "/log/timing" not in topics and "/log/controller" in topics
 
 
 def test_what_dates_a_log_may_be_lost(logged: Logged) -> None:
