@@ -250,7 +250,7 @@ def stale(name: str, make: Make, *settings: str) -> Fault:
 def dropped(name: str, make: Make, body: str) -> Fault:
     """One body that cannot be used."""
     # A busy machine may be without any frame for a moment; a body that is gone stays away for ever.
-    limits = {"guards.sensing.dropout": 1.0}
+    limits = {"guards.sensing.dropout": 3.0}
     return Fault(name, make, R.SENSOR_DROPOUT, f"body {body} not usable", HELD, limits=limits)
 
 
