@@ -93,7 +93,7 @@ class DynamicArm(Part):
         *settings, **changes: See `DynamicArmSettings`.
 
     Raises:
-        ConfigError: The true arm has other numbers of sections or tendons.
+        ConfigError: The true arm has other numbers of sections or tendons, or chambers.
     """
 
     settings_type = DynamicArmSettings
@@ -106,6 +106,8 @@ class DynamicArm(Part):
         self.hold(s)
         own = s.plant_settings()
         self.arm, self.varied, self.refine = own.true_arm(arm), varied, own.refine
+        if self.arm.chambers is not None:
+            raise ConfigError("a dynamic environment drives tendons: an arm with chambers needs dynamics='kinematic'")
         if (self.arm.n_sections, self.arm.n_tendons) != (arm.n_sections, arm.n_tendons):
             raise ConfigError("plant.arm must have as many sections and tendons as the arm")
         plant = part_of(own).on(arm, torch.zeros((), dtype=torch.float64), own).to(like)

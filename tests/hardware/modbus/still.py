@@ -35,7 +35,8 @@ class StillSensor(PoseSensor):
         """The frame of now."""
         sequence = int(100.0 * (time.monotonic() - self.began))
         T = np.tile(np.diag([1.0, -1.0, -1.0, 1.0]), (self.n_bodies, 1, 1))
-        T[:, 2, 3] = [-place for place in self.places]
+        # No two frames are the same to the bit, or they would be taken for frozen ones.
+        T[:, 2, 3] = np.negative(self.places) + 1e-5 * np.sin(sequence)
         return PoseSample(self.began + sequence / 100.0, sequence, T, np.ones(self.n_bodies, dtype=bool))
 
     def wait(self, timeout: float, after: int | None = None) -> PoseSample | None:
