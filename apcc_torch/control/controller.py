@@ -179,9 +179,8 @@ class APCCController(Part):
         shape, q_d = (None, q) if self.shape is None else self.shape.start(q, pi_hat)
         y = self.tendons(q_d, pi_hat)
         pressure = None if self.pressure is None or y is None else self.pressure.initial_state(y)
-        return ControllerState(
-            q, still, pi_hat, q_d, still, filtered, stamp, memories, expected, integral, shape, pressure
-        )
+        first = q, still, pi_hat, q_d, still, filtered, stamp, memories
+        return ControllerState(*first, expected, integral, shape, pressure)
 
     def forward(
         self, state: ControllerState, measurement: Measurement, target: Target
@@ -308,9 +307,7 @@ class APCCController(Part):
         dt: Tensor,
         bounds: RateBounds | None,
     ) -> tuple[Tensor, Tensor | None]:
-        """qdot (..., n) of Eq. (16) within its bounds, and the tendons' `Command.limits`; q, pi_hat, chain of
-        `_driven`.
-        """
+        """qdot (..., n) of Eq. (16) within its bounds, and the tendons' `Command.limits`; q to chain of `_driven`."""
         return self.inverse_kinematics(chain.tip_jacobian(), e, target.xdot_d.expand_as(e), q, dt, bounds), None
 
     def regressor(
