@@ -230,11 +230,14 @@ class APCCController(Part):
         memories = state.memories
         if self.adaptive and self.laws:
             velocity = qdot_bar if self.velocity == "measured" else qdot
-            rows = (value.expand(*batch, value.shape[-1]) for value in (q_bar, inference.pi_hat, velocity))
+            seen = (value.expand(*batch, value.shape[-1]) for value in (q_bar, inference.pi_hat, velocity))
+            q, lengths, velocity = seen
             step = LawStep(
                 self.backbone,
                 inference,
-                *rows,
+                q,
+                lengths,
+                velocity,
                 e=e_seen,
                 dt=dt.expand(batch),
                 T=T,
