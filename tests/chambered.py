@@ -14,6 +14,8 @@ from parts import lengths, number, numbers, some
 
 B = Chambers(offsets=0.015).routing(lengths()).matrix(lengths())
 
+GROUPS = torch.eye(2).repeat_interleave(3, dim=-1).to(lengths())
+
 
 def chambered() -> Tensor:
     """B (6, 6) of three chambers in each of its sections."""
@@ -28,7 +30,7 @@ def pushing() -> ChamberForce:
 
 def together() -> Tensor:
     """(2, 6) which chambers are of one section."""
-    return torch.eye(2).repeat_interleave(3, dim=-1).to(lengths())
+    return GROUPS.clone()
 
 
 def pressed(of: PressureControl) -> Any:
