@@ -7,6 +7,7 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from typing import Any, TypeVar
 
+import torch
 from torch import Tensor
 
 from apcc_torch.modes import none_left
@@ -32,7 +33,7 @@ def repeated(body: Callable[[S], S], state: S, times: int, going: Callable[[S], 
         >>> repeated(lambda x: torch.where(x > 1.0, 0.5 * x, x), large, 9, lambda x: x > 1.0)
         tensor([0.8750, 0.3000])
     """
-    recording = _recording.get()
+    recording = None if torch.compiler.is_dynamo_compiling() else _recording.get()
     if recording is not None:
         outcome: S = recording(body, state, times, going)
         return outcome

@@ -33,6 +33,9 @@ NEEDED: dict[str, Any] = {
     "RegulatorSettings.host": "127.0.0.1",
     "RegulatorSettings.readings": (0, 1),
     "RegulatorSettings.upper": 1e5,
+    "ServoSettings.ids": (1, 2),
+    "ServoSettings.lower": -0.02,
+    "ServoSettings.port": "/dev/ttyUSB0",
     "lengths": (0.2, 0.25),
 }
 """What settings that have to be given are in tests, by their class and name, or by name alone."""

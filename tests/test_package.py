@@ -76,7 +76,7 @@ def test_extras_of_the_project_are_its_own() -> None:
         return {name for line in own for name in line.partition("[")[2].rstrip("]").split(",")}
 
     # The first command of the README installs only dev, and its figures need viz, which report brings.
-    assert named("dev") == {"hardware", "log", "qp", "report", "rl"} and named("report") == {"viz"}
+    assert named("dev") == {"feetech", "hardware", "log", "modbus", "qp", "report", "rl"} and named("report") == {"viz"}
     assert named("dev") | named("report") <= set(extras)
 
 

@@ -14,6 +14,7 @@ from apcc_torch.control.adaptation import AdaptiveLaw
 from apcc_torch.control.controller import APCCController
 from apcc_torch.control.inverse_kinematics import InverseKinematics
 from apcc_torch.control.pid import TendonPID, ramp
+from apcc_torch.control.pressure import PressureControl, PressureControlSettings
 from apcc_torch.control.shape_law import ShapeLaw, ShapeLawSettings
 from apcc_torch.control.step_io import Measurement, Target
 from apcc_torch.control.task_integral import TaskIntegral
@@ -30,6 +31,7 @@ from apcc_torch.lie import se3
 from apcc_torch.model.abscissae import decouple
 from apcc_torch.model.arm import Arm
 from apcc_torch.model.backbone import PCCBackbone
+from apcc_torch.model.chambers import Chambers
 from apcc_torch.part import Configurable, part_of
 from apcc_torch.settings import About, Settings, about_of, aligned, check_setting, default_of, is_on, names, resolved
 from apcc_torch.simulation.curvature_sensors import CurvatureSensors
@@ -152,6 +154,19 @@ def pid(**settings: Any) -> Tensor:
     made = TendonPID(**settings)
     z, y, ydot, y_d, ydot_d = (0.01 * randn(ROWS, 4, seed=i) for i in range(5))
     return torch.cat((made(z, y, ydot, y_d, ydot_d), made.integrate(z, y, y_d, 0.1)), dim=-1)
+
+
+def pressed(**settings: Any) -> Tensor:
+    """Chambers that are asked for more than they can do."""
+    arm = Arm(lengths=[0.145, 0.145], mass=0.3, chambers=Chambers(rest_pressure=2e4))
+    made = PressureControl.on(arm, PressureControlSettings(**settings))
+    assert made is not None
+    y, y_d = 0.002 * randn(ROWS, 6, seed=1), 0.02 * randn(ROWS, 6, seed=2)
+    state = made.initial_state(y)
+    for k in range(4):
+        state, p = made(state, y_d, y + 0.001 * k, rows(0.01, 0.01, 0.01))
+    bounds = made.bounds(state, PCCBackbone(2).coordinates)
+    return torch.cat((1e-5 * p, state.z, *(bound.clamp(-99.0, 99.0) for bound in bounds)), dim=-1)
 
 
 def inferred(**settings: Any) -> Tensor:
@@ -351,6 +366,14 @@ USES: dict[tuple[type, Callable[..., Tensor]], dict[str, tuple[float, ...]]] = {
         "K_D": (0.0, 1.0, 5.0),
         "force_limit": (0.1, 1.0, 100.0),
         "integral_limit": (1e-4, 1e-2, 1.0),
+    },
+    (PressureControl, pressed): {
+        "K_P": (0.0, 0.1, 1.0),
+        "K_I": (0.0, 0.5, 5.0),
+        "K_D": (0.0, 0.1, 1.0),
+        "rate_time": (0.01, 0.03, 0.3),
+        "bend_rate": (0.1, 2.0, 9.0),
+        "windup_time": (0.02, 0.1, 1.0),
     },
     (StateFeedback, weighed): {
         "angular_weight": (0.1, 0.3, 1.0),

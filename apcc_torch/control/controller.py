@@ -230,14 +230,11 @@ class APCCController(Part):
         memories = state.memories
         if self.adaptive and self.laws:
             velocity = qdot_bar if self.velocity == "measured" else qdot
-            seen = (value.expand(*batch, value.shape[-1]) for value in (q_bar, inference.pi_hat, velocity))
-            q, lengths, velocity = seen
+            seen = [value.expand(*batch, value.shape[-1]) for value in (q_bar, inference.pi_hat, velocity)]
             step = LawStep(
                 self.backbone,
                 inference,
-                q,
-                lengths,
-                velocity,
+                *(seen[0], seen[1], seen[2]),
                 e=e_seen,
                 dt=dt.expand(batch),
                 T=T,

@@ -167,10 +167,12 @@ class RunLog:
         if reading is not None:
             self.last = reading
             self._add(raw_layout(reading.raw), *number, t.index, t.time, *reading.raw.values())
+        unknown = np.full_like(t.requested, np.nan)
+        measured = (np.nan, unknown, unknown, unknown)  # before the first reading
         if self.last is not None:
             measured = self.last.stamp - self.zero, self.last.y, self.last.ydot, self.last.effort
-            done = t.requested, t.sent, t.fresh, reading is not None
-            self._add(self.layouts.tendons, *number, t.index, t.time, *measured, *done)
+        done = t.requested, t.sent, t.fresh, reading is not None
+        self._add(self.layouts.tendons, *number, t.index, t.time, *measured, *done)
         latency = np.nan if t.latency is None else t.latency
         stages = t.lateness, t.read, t.sense, t.control, t.send, latency, t.overruns, t.failed
         self._add(self.layouts.timing, *number, t.index, t.time, t.deadline - self.zero, *stages)
