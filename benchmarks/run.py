@@ -12,6 +12,7 @@ from __future__ import annotations
 import argparse
 import importlib
 import importlib.util
+import itertools
 import os
 import platform
 import resource
@@ -32,6 +33,7 @@ from apcc_torch import PCCBackbone
 from apcc_torch.files import write_json
 from apcc_torch.model.backbone import HANGING
 from apcc_torch.native.function import NativeFunction
+from apcc_torch.native.standing import StandingCall
 from apcc_torch.native.structure import flattened, rebuilt
 
 Row = dict[str, float]
@@ -92,6 +94,10 @@ def control_steps(table: Table, options: argparse.Namespace) -> None:
             table.add(f"{name}_aot", batch, threads,
                       lambda s=step, g=late, n=calls: timed_steps(s, g, n) | floor(s))  # fmt: skip
             table.compare(f"{name}_aot", f"{name}_eager", "eager")
+            if batch == 1:
+                loop = standing(step, late[0])
+                table.add(f"{name}_standing", 1, 1, lambda c=loop, n=calls: timed_steps(c, [()], n))
+                table.add(f"{name}_standing_after_20_ms", 1, 1, lambda c=loop: timed(c, 0.0, 200, pause=0.02))
             if batch == 1 and dtype == D:
                 routing = c.routing
                 assert routing is not None
@@ -104,6 +110,22 @@ def control_steps(table: Table, options: argparse.Namespace) -> None:
                 table.rows["numpy_difference"] = {"m": wrong}
                 table.add("control_step_numpy", 1, 1, lambda s=numpy_step, g=given: timed_steps(s.step, g[60:], 340))
                 table.compare(f"{name}_aot", "control_step_numpy", "numpy")
+
+
+def standing(step: NativeFunction, given: tuple[Any, ...]) -> Callable[[], None]:
+    """A step as the loop in real time makes it: what is new is written into memory that stays."""
+    call = StandingCall(step, given, carries=True)
+    T, stamp = given[1].T.numpy(), float(given[1].time)
+    ticks = itertools.count(1)
+
+    def once() -> None:
+        measurement, target = call.given[1:]
+        measurement.T[...] = T
+        measurement.time[...] = stamp + 0.004 * next(ticks)
+        target.x_d[...], target.xdot_d[...] = T[-1, :3, 3], 0.0
+        call()
+
+    return once
 
 
 def forward_dynamics(table: Table, options: argparse.Namespace) -> None:

@@ -16,7 +16,9 @@ def finished(device: str) -> None:
         torch.cuda.synchronize(device)
 
 
-def timed(call: Callable[[], object], budget: float, least: int = 5, device: str = "cpu") -> dict[str, float]:
+def timed(
+    call: Callable[[], object], budget: float, least: int = 5, device: str = "cpu", pause: float = 0.0
+) -> dict[str, float]:
     """Times a call again and again.
 
     Args:
@@ -24,12 +26,15 @@ def timed(call: Callable[[], object], budget: float, least: int = 5, device: str
         budget: About how long in all, s.
         least: Fewest samples.
         device: On which it works.
+        pause: Before each call, s.
     """
     call()
     finished(device)
     samples: list[float] = []
     end = time.perf_counter() + budget
     while len(samples) < least or time.perf_counter() < end:
+        if pause:
+            time.sleep(pause)
         started = time.perf_counter()
         call()
         finished(device)
