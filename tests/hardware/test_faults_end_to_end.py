@@ -258,7 +258,9 @@ def test_kill_9(scene: Scene) -> None:
     assert robot_log(["replay", str(scene.folder / "log.mcap")]) == 0
 
 
-@pytest.mark.parametrize("platform", ["optitrack", "qualisys"], indirect=True)
+@pytest.mark.parametrize(
+    "platform", [(DYNAMIXEL, make) for make in ("optitrack", "qualisys")], indirect=True, ids=["optitrack", "qualisys"]
+)
 def test_small_faults_do_not_end_a_run(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
     """Lost and spoilt replies now and then, garbage, copies, and frames from another sender."""
 

@@ -57,7 +57,7 @@ def controller(mode: str = "pose", iterations: int = 2, **parts: Any) -> APCCCon
 def worst(have: Any, want: Any) -> float:
     """Largest difference, of large numbers (rates, forces) relative to the largest of them."""
     pairs = [(a.double(), b.double()) for a, b in zip(flattened(have), flattened(want), strict=True)]
-    return max(float((a - b).abs().max() / b.abs().max().clamp(min=1.0)) for a, b in pairs)
+    return max(float((a - b).abs().max() / b.abs().max().clamp(min=1.0)) for a, b in pairs if b.numel())
 
 
 def step_inputs(c: APCCController, rows: int) -> tuple[Any, Measurement, Target]:
