@@ -96,7 +96,7 @@ class Pursuit:
             time, k = self.zero + self.time, torch.tensor(self.steps)
             self.now, row = self.step_loop(self.now, time, k, draws)
             # As the loop's log has them: q_bar belongs to the rest lengths before the step.
-            self.x, self.q, self.q_bar, self.lengths, self.u = row[1], row[2], row[3], row[5], row[-1]
+            self.x, self.q, self.q_bar, self.lengths, self.u = row[1], row[2], row[3], row[5], row[-2]
         self.steps += 1
 
     @property
