@@ -27,7 +27,7 @@ class WebAddress(Settings):
     group: ClassVar[str] = "page."
 
     host: str = setting(
-        LOOPBACK, "", OURS, "address that the page is served on; 0.0.0.0: to everyone who reaches this machine"
+        LOOPBACK, "", OURS, "address that it is served on; 0.0.0.0: to everyone who reaches this machine"
     )
     port: int = setting(8080, "", OURS, "port of the page; 0: any that is free", least=0, most=65535)
 
@@ -74,7 +74,4 @@ class StreamAddress(WebAddress):
     scheme: ClassVar[str] = "ws"
     group: ClassVar[str] = "stream."
 
-    host: str = setting(
-        LOOPBACK, "", OURS, "address that the stream is served on; 0.0.0.0: to everyone who reaches this machine"
-    )
     port: int = setting(8765, "", OURS, "port of the stream; 0: any that is free", least=0, most=65535)

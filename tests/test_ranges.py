@@ -88,7 +88,8 @@ def test_every_number_has_a_range_or_is_finite() -> None:
             "RampSettings.goal",
         ),
         *("ReplaySettings.direction", "ReplaySettings.forward", "ReplaySettings.base_position"),
-        *("CompositeControllerSettings.lower", "CompositeControllerSettings.upper", "OptiTrackSettings.base_offset"),
+        *("CompositeControllerSettings.lower", "CompositeControllerSettings.upper", "MocapSettings.base_offset"),
+        *("PressureLimitSettings.lower", "PressureLimitSettings.upper"),
         *("Placement.position", "Placement.rotation", "Placement.gravity", "Actuation.pulls", "Actuation.pre_stretch"),
         # Positive definite gains, which the class checks.
         *("AdaptiveLawSettings.gamma", "NormalisedLawSettings.gamma", "InverseKinematicsSettings.K"),

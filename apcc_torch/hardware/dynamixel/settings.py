@@ -29,7 +29,9 @@ class GripperSettings(Settings):
     """A gripper's motor on the same bus. It turns less than once, so its encoder's own zero is enough."""
 
     id: int = setting(meaning="on the bus", least=0, most=MAX_ID)
-    model_number: int = setting(1030, "", PAPER, "of the motor: XM430-W210; the known ones are in docs/hardware.md")
+    model_number: int = setting(
+        1030, "", PAPER, "of the motor: XM430-W210; the known ones are in docs/hardware.md", least=0, most=65535
+    )
     open_angle: float = setting(1.0, "rad", OURS, "of its encoder", least=0, below=2 * pi)
     closed_angle: float = setting(2.0, "rad", OURS, "of its encoder", least=0, below=2 * pi)
     current_limit: float = setting(0.3, "A", OURS, "the grip", above=0)
