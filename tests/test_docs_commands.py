@@ -227,7 +227,9 @@ def known_keys() -> set[str]:
     own = [[choice for choice in group if not choice.endswith("=custom")] for group in choices]
     some = zip_longest(*own, fillvalue="figures=false")
     every = [settings("simulate", "experiment=dynamic_run_2", *dict.fromkeys(chosen)) for chosen in some]
-    every += [settings("robot", "experiment=setpoint", "hardware=dynamixel_optitrack")]
+    for platform in ("dynamixel_optitrack", "dynamixel_qualisys", "feetech_optitrack"):
+        every += [settings("robot", "experiment=setpoint", f"hardware={platform}")]
+    every += [settings("robot", "experiment=setpoint", "arm=soft_trunk", "hardware=modbus_optitrack")]
     every += [settings("robot", "experiment=setpoint"), settings("identify", "data=PATH")]
     every += [settings("evaluate", "data=trunk_payload"), settings("export", "arm=arm_2")]
     told = [row for each in every for row in rows(each)]
