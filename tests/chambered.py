@@ -19,7 +19,7 @@ GROUPS = torch.eye(2).repeat_interleave(3, dim=-1).to(lengths())
 
 def chambered() -> Tensor:
     """B (6, 6) of three chambers in each of its sections."""
-    return B.clone()
+    return B.clone().to(lengths())
 
 
 def pushing() -> ChamberForce:
@@ -30,7 +30,7 @@ def pushing() -> ChamberForce:
 
 def together() -> Tensor:
     """(2, 6) which chambers are of one section."""
-    return GROUPS.clone()
+    return GROUPS.clone().to(lengths())
 
 
 def pressed(of: PressureControl) -> Any:
