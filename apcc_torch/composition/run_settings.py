@@ -30,7 +30,7 @@ Points = tuple[Any, ...]
 
 FARTHEST = 3.0
 """How far off a target may be, in lengths of the arm: no arm stretches so far."""
-ON_AN_ARM = ("hardware", "guards", "loop", "calibration", "ramp", "series", "dry_run", "view", "page", "log")
+ON_AN_ARM = ("hardware", "guards", "loop", "calibration", "ramp", "series", "dry_run", "view", "page", "stream", "log")
 """What a run in real time alone can be set to."""
 LONGEST = 10_000_000
 """The most control periods that a simulation logs."""
