@@ -177,7 +177,7 @@ class APCCController(Part):
         expected = None if poses is None else poses.initial_state(q, self.feedback.abscissae.shape[-1])
         integral = None if self.integral is None else still[..., :3]
         shape, q_d = (None, q) if self.shape is None else self.shape.start(q, pi_hat)
-        y = self.tendons(q_d, pi_hat)
+        y = None if self.pressure is None else self.tendons(q_d, pi_hat)
         pressure = None if self.pressure is None or y is None else self.pressure.initial_state(y)
         first = q, still, pi_hat, q_d, still, filtered, stamp, memories
         return ControllerState(*first, expected, integral, shape, pressure)

@@ -53,7 +53,8 @@ CASES: dict[str, Callable[[Tensor, Tensor, Tensor, Tensor, Tensor], object]] = {
     "made": lambda x, p, A, c, v: (torch.zeros_like(x) + v[0], torch.ones_like(x) * p, torch.full_like(x, 3.0),
                                   torch.eye(3, dtype=x.dtype) @ A, torch.arange(4, dtype=x.dtype) * x,
                                   torch.zeros(2, dtype=x.dtype), torch.full((2,), v.shape[0], dtype=torch.int64),
-                                  torch.ones(2, dtype=x.dtype), x.new_zeros((2, 3)) - v[0], torch.tensor([1.0, 2.0, 3.0], dtype=x.dtype) + v),
+                                  torch.ones(2, dtype=x.dtype), x.new_zeros((2, 3)) - v[0],
+                                  torch.tensor([1.0, 2.0, 3.0], dtype=x.dtype) + v),
     # What is written into a part, or into it seen in another shape, is in the whole.
     "written": lambda x, p, A, c, v: (y := x.clone(), y[:, 1].copy_(p[:, 0]), y.view(12)[6:8].copy_(v[:2]),
                                      z := A.mT.contiguous().mT, z.diagonal(dim1=-2, dim2=-1).copy_(v.expand(2, 3))),
