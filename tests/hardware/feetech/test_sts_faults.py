@@ -73,11 +73,11 @@ def test_spoilt_replies(armed: FeetechActuator, emulator: ServoEmulator, fault: 
 
 
 def test_a_late_reply_is_not_taken_for_the_next(armed: FeetechActuator, emulator: ServoEmulator) -> None:
-    emulator.do("late", MOTOR, count=1, amount=0.7)
+    emulator.do("late", MOTOR, count=1, amount=1.4)
     with pytest.raises(CommunicationError, match=NAME):
         armed.read()
     emulator.do("load", MOTOR, current=77)
-    time.sleep(0.4)
+    time.sleep(0.8)
     assert armed.read().raw["current"][3] == 77
 
 
