@@ -11,7 +11,7 @@ from torch import Tensor
 from apcc_torch.errors import CompileError
 from apcc_torch.native.scalars import BOOL, Loop
 from apcc_torch.native.structure import flattened, rebuilt
-from apcc_torch.native.values import Arithmetic, Value, kind_of
+from apcc_torch.native.values import Arithmetic, Value
 
 
 class Recorder(Protocol):
@@ -52,12 +52,12 @@ def looped(
     leaves = flattened(state)
     values = [recorder.value(leaf) for leaf in leaves]
     initial = [index for value in values for index in value.entries.flatten().tolist()]
+    kinds = [scalars[index].kind for index in initial]
     fixed = {k for k, index in enumerate(initial) if scalars[index].op == "constant"}
     while True:
         number = len(scalars.loops)
         loop = Loop(recorder.inner, times)
         scalars.loops.append(loop)
-        kinds = [kind for value in values for kind in [kind_of(value.dtype)] * value.entries.numel()]
         entered = [
             index if k in fixed else scalars.entry("variable", number, k, kinds[k]) for k, index in enumerate(initial)
         ]
@@ -73,16 +73,14 @@ def looped(
         if not moved:
             break
         fixed -= moved
-    places = [k for k in range(len(initial)) if k not in fixed]
-    loop.initial, loop.results = initial, results
-    loop.variables = entered
+    loop.initial, loop.results, loop.variables = initial, results, entered
+    loop.outcomes = [
+        index if k in fixed else scalars.entry("outcome", number, k, kinds[k]) for k, index in enumerate(initial)
+    ]
     loop.going = len(initial)
     loop.initial.append(recorder.truth(begun))
     loop.results.append(recorder.truth(more))
     loop.variables.append(scalars.entry("variable", number, loop.going, BOOL))
-    loop.outcomes = list(initial)
-    for k in places:
-        loop.outcomes[k] = scalars.entry("outcome", number, k, kinds[k])
     return rebuilt(after, iter(recorder.symbols(changed, outcome, loop.outcomes)))
 
 

@@ -8,8 +8,8 @@ from typing import Any, NamedTuple
 
 import yaml
 
-from apcc_torch.errors import ConfigError
 from apcc_torch.hardware.dynamixel.registers import INDIRECT_ADDRESS, MAX_PWM
+from apcc_torch.hardware.servos.known_model import known_model
 from apcc_torch.hardware.servos.spool import TICKS_PER_TURN
 
 FILE = Path(__file__).with_name("models.yaml")
@@ -103,8 +103,4 @@ def model_of(number: float) -> Model:
     Raises:
         ConfigError: It is not known.
     """
-    known = models()
-    if number not in known:
-        names = ", ".join(f"{each.number} ({each.name})" for each in known.values())
-        raise ConfigError(f"model_number must be one of {names}, got {number:g}")
-    return known[round(number)]
+    return known_model(models(), number)

@@ -11,6 +11,7 @@ from functools import partial
 
 from apcc_torch.errors import CommunicationError
 from apcc_torch.hardware.mocap.counts import Counts
+from apcc_torch.hardware.mocap.handling import foreign, guarded
 from apcc_torch.hardware.mocap.limited_log import LimitedLog
 from apcc_torch.hardware.optitrack.packets import MAX_DATAGRAM
 from apcc_torch.hardware.optitrack.settings import OptiTrackSettings
@@ -136,20 +137,9 @@ class Receiver:
                 self._stop.wait(_TEND)  # an error that stays must not spin
                 return
             arrival = time.monotonic()
-            self._counts.packets += 1
-            if sender[0] != self._settings.server:
-                self._counts.foreign += 1
-                self._log.warning("foreign", "dropped a packet from %s, which is not the server", sender[0])
+            if foreign(sender[0], self._settings.server, self._counts, self._log):
                 continue
             self._guarded(partial(self._take, data, arrival))
 
     def _guarded(self, call: Callable[[], None]) -> None:
-        """Calls it; whatever it raises is counted and logged, and the thread goes on."""
-        try:
-            call()
-        except CommunicationError as error:
-            self._counts.malformed += 1
-            self._log.warning("malformed", "dropped a packet: %s", error)
-        except Exception:
-            self._counts.failed += 1
-            self._log.warning("failed", "the handling of a packet failed", trace=True)
+        guarded(call, self._counts, self._log)

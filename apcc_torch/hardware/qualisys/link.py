@@ -12,6 +12,7 @@ from functools import partial
 
 from apcc_torch.errors import CommunicationError
 from apcc_torch.hardware.mocap.counts import Counts
+from apcc_torch.hardware.mocap.handling import foreign, guarded
 from apcc_torch.hardware.mocap.limited_log import LimitedLog
 from apcc_torch.hardware.qualisys import packets
 from apcc_torch.hardware.qualisys.settings import QualisysSettings
@@ -188,10 +189,7 @@ class Link:
                 self._failed("receive", f"cannot receive: {error}")
                 self._stop.wait(_TEND)  # an error that stays must not spin
                 break
-            self._counts.packets += 1
-            if sender[0] != self._settings.server:
-                self._counts.foreign += 1
-                self._log.warning("foreign", "dropped a packet from %s, which is not the server", sender[0])
+            if foreign(sender[0], self._settings.server, self._counts, self._log):
                 continue
             self._counts.skipped += len(waiting) == _NEWEST
             waiting.append((data, time.monotonic()))
@@ -202,12 +200,4 @@ class Link:
         self._take(*packets.open_datagram(data), arrival)
 
     def _guarded(self, call: Callable[[], None]) -> None:
-        """Calls it; whatever it raises is counted and logged, and the thread goes on."""
-        try:
-            call()
-        except CommunicationError as error:
-            self._counts.malformed += 1
-            self._log.warning("malformed", "dropped a packet: %s", error)
-        except Exception:
-            self._counts.failed += 1
-            self._log.warning("failed", "the handling of a packet failed", trace=True)
+        guarded(call, self._counts, self._log)
