@@ -14,7 +14,8 @@ from apcc_torch.estimation.feedback import FeedbackStatus
 from apcc_torch.exporting.functions import Function
 from apcc_torch.exporting.structs import Struct, declared, leaves, struct
 from apcc_torch.native.layout import ARRAY, places
-from apcc_torch.native.source import Body, body, prologue
+from apcc_torch.native.source import prologue
+from apcc_torch.native.statements import Body, body
 from apcc_torch.native.trace import Trace, traced
 from apcc_torch.native.values import kind_of
 

@@ -1,13 +1,17 @@
-"""Where the expressions of a program are computed and kept: in which part, and in which slot between parts."""
+"""A program in parts: where each of its expressions is computed."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import torch
 
-from apcc_torch.native.ordering import Block, Run, ordered
+from apcc_torch.native.alike import Places, memory, numbers, shared
+from apcc_torch.native.ordering import ordered
 from apcc_torch.native.scalars import BOOL, FLOAT, INT, Scalars
+from apcc_torch.native.series import Items, Rounds, Series, in_series, one_by_one
 from apcc_torch.native.trace import Leaf, Trace
 from apcc_torch.native.values import kind_of
 
@@ -32,45 +36,77 @@ def places(leaves: list[Leaf]) -> tuple[list[int], dict[str, int]]:
     return starts, counts
 
 
+class Row(NamedTuple):
+    """Values of several expressions side by side, as a series reads them; of one block, whose loops are `path`."""
+
+    path: tuple[int, ...]
+    places: Places
+
+
+class Move(NamedTuple):
+    """A value that is put into its place in a row."""
+
+    what: int
+    row: Row
+    place: int
+
+
+Statement = int | Series | Move
+
+
 @dataclass
 class Part:
     """A function of the program.
 
     number: In the order of the program. path: The loops in which it runs, the outermost first.
-    statements: Expressions that it computes.
+    statements: What it does. first: When it does the first of them; each takes one time.
     begins: Loops whose state it sets at its end, as they begin. carries: The loop whose round ends with it.
     """
 
     number: int
     path: tuple[int, ...]
-    statements: list[int] = field(default_factory=list)
+    statements: list[Statement] = field(default_factory=list)
     begins: list[int] = field(default_factory=list)
     carries: int | None = None
+    size: int = 0
+    first: int = 0
+
+    @property
+    def end(self) -> int:
+        """When it is done."""
+        return self.first + len(self.statements)
 
 
 @dataclass
-class Rounds:
+class Runs:
     """Parts of a program that are run again and again."""
 
     loop: int
-    body: list[Part | Rounds]
+    body: list[Part | Runs]
 
 
 @dataclass
 class Layout:
-    """Where expressions live: the part each is computed in, and slots for those that other parts read.
+    """A program in parts.
 
     places: Of each loop which scalars of its state count.
+    ends: Of each loop the part with which a round ends.
+    part_of: Of each expression, and of what stands for a loop's state, the part that computes it.
+    in_formula: Of what a series computes the number of its formula, and the slice.
+    rows: What series read that is in no one memory otherwise.
+    moved: Of an expression the rows that it is put into as soon as it is there, and where in each.
+    read: What series read from where it is, so that it has to be in memory.
     """
 
     places: dict[int, list[int]]
-    program: list[Part | Rounds] = field(default_factory=list)
+    program: list[Part | Runs] = field(default_factory=list)
     parts: list[Part] = field(default_factory=list)
-    ends: dict[int, int] = field(default_factory=dict)
+    ends: dict[int, Part] = field(default_factory=dict)
     part_of: dict[int, Part] = field(default_factory=dict)
-    last_use: dict[int, int] = field(default_factory=dict)
-    slots: dict[int, int] = field(default_factory=dict)
-    sizes: dict[str, int] = field(default_factory=lambda: {FLOAT: 1, INT: 1, BOOL: 1})
+    in_formula: dict[int, tuple[int, int]] = field(default_factory=dict)
+    rows: set[Row] = field(default_factory=set)
+    moved: dict[int, list[tuple[Row, int]]] = field(default_factory=dict)
+    read: set[int] = field(default_factory=set)
 
     def operations(self, scalars: Scalars) -> int:
         """How many a row takes at most."""
@@ -79,8 +115,13 @@ class Layout:
             rounds = 1
             for loop in part.path:
                 rounds *= scalars.loops[loop].times
-            total += rounds * len(part.statements)
+            total += rounds * sum(_work(statement) for statement in part.statements)
         return total
+
+    def row(self, part: Part, operand: Places) -> Row | None:
+        """The row that a series in a part reads an operand from, None where it is read from where it is."""
+        row = Row(part.path, operand)
+        return row if row in self.rows else None
 
 
 def kept_as(scalars: Scalars, index: int) -> int:
@@ -89,17 +130,30 @@ def kept_as(scalars: Scalars, index: int) -> int:
     return index if entry is None else scalars.loops[entry.loop].variables[entry.place]
 
 
-def laid_out(trace: Trace) -> Layout:
-    """Only what the results need, in an order that keeps an operand near its use."""
+def laid_out(trace: Trace, together: bool = True) -> Layout:
+    """Only what the results need, in an order that keeps an operand near its use.
+
+    Args:
+        trace: What is computed.
+        together: What is alike on several slices is written once, in a loop over them.
+    """
     scalars = trace.scalars
     block, needed = ordered(scalars, [index for row in trace.results for index in row])
+    items = in_series(trace, block, STATEMENTS) if together else one_by_one(block)
     layout = Layout(needed)
-    layout.program = _divided(layout, block, ())
+    layout.program = _Division(layout, scalars).divided(items, ())
     if not isinstance(layout.program[-1], Part):
         layout.program.append(_part(layout, ()))
-    _note_uses(layout, trace)
-    _allocate(layout, scalars)
+    time = 0
+    for part in layout.parts:
+        part.first, time = time, time + len(part.statements) + 1
     return layout
+
+
+def _work(statement: Statement) -> int:
+    if isinstance(statement, Series):
+        return statement.length * len(statement.formulas)
+    return 1 if isinstance(statement, int) else 0
 
 
 def _part(layout: Layout, path: tuple[int, ...]) -> Part:
@@ -108,81 +162,68 @@ def _part(layout: Layout, path: tuple[int, ...]) -> Part:
     return part
 
 
-def _divided(layout: Layout, block: Block, path: tuple[int, ...]) -> list[Part | Rounds]:
-    """A block in parts that a compiler takes well; a loop's body begins and ends with a part."""
-    pieces: list[Part | Rounds] = [part := _part(layout, path)]
-    for item in block:
-        if isinstance(item, Run):
-            part.begins.append(item.loop)
-            inner = _divided(layout, item.body, (*path, item.loop))
-            last = inner[-1]
-            if not isinstance(last, Part):
-                inner.append(last := _part(layout, (*path, item.loop)))
-            last.carries = item.loop
-            layout.ends[item.loop] = last.number
-            pieces += [Rounds(item.loop, inner), part := _part(layout, path)]
-            continue
-        if len(part.statements) == STATEMENTS:
-            pieces.append(part := _part(layout, path))
-        part.statements.append(item)
-        layout.part_of[item] = part
-    return pieces
+def outside(series: Series) -> Iterator[Places]:
+    """The operands of a series that it does not make itself."""
+    made = {formula.results for formula in series.formulas}
+    for formula in series.formulas:
+        yield from (operand for operand in formula.operands if operand not in made)
 
 
-def _note_uses(layout: Layout, trace: Trace) -> None:
-    """Of each expression the last part that needs it; what a loop needs from before, it needs to its end."""
-    scalars = trace.scalars
+class _Division:
+    """Divides a program into parts that a compiler takes well; a loop's body begins and ends with a part."""
 
-    def used(index: int, part: Part) -> None:
-        keeper = kept_as(scalars, index)
-        home = layout.part_of.get(keeper)
-        if home is None:
-            return
-        deeper = part.path[len(home.path) :]
-        until = layout.ends[deeper[0]] if deeper else part.number
-        layout.last_use[keeper] = max(until, layout.last_use.get(keeper, 0))
+    def __init__(self, layout: Layout, scalars: Scalars) -> None:
+        self.layout = layout
+        self.scalars = scalars
+        self.formulas = 0
 
-    for part in layout.parts:
-        for loop in part.begins:
-            for k in layout.places[loop]:
-                layout.part_of[scalars.loops[loop].variables[k]] = part
-    for part in layout.parts:
-        for index in part.statements:
-            for operand in scalars[index].operands:
-                used(operand, part)
-        for loop in part.begins:
-            for k in layout.places[loop]:
-                used(scalars.loops[loop].initial[k], part)
-        if part.carries is not None:
-            for k in layout.places[part.carries]:
-                used(scalars.loops[part.carries].results[k], part)
-                used(scalars.loops[part.carries].variables[k], part)
-    for row in trace.results:
-        for index in row:
-            if index in scalars.entry_of:
-                used(index, layout.parts[-1])
+    def divided(self, items: Items, path: tuple[int, ...]) -> list[Part | Runs]:
+        """A block's parts, in order."""
+        layout = self.layout
+        pieces: list[Part | Runs] = [part := _part(layout, path)]
+        for item in items:
+            if isinstance(item, Rounds):
+                part.begins.append(item.loop)
+                variables = self.scalars.loops[item.loop].variables
+                layout.part_of.update((variables[k], part) for k in layout.places[item.loop])
+                inner = self.divided(item.body, (*path, item.loop))
+                last = inner[-1]
+                if not isinstance(last, Part):
+                    inner.append(last := _part(layout, (*path, item.loop)))
+                last.carries = item.loop
+                layout.ends[item.loop] = last
+                pieces += [Runs(item.loop, inner), part := _part(layout, path)]
+                continue
+            size = 1 if isinstance(item, int) else len(item.formulas)
+            if part.statements and part.size + size > STATEMENTS:
+                pieces.append(part := _part(layout, path))
+            part.size += size
+            if isinstance(item, int):
+                layout.part_of[item] = part
+            else:
+                self._series(item, part)
+            part.statements.append(item)
+        return pieces
 
-
-def _allocate(layout: Layout, scalars: Scalars) -> None:
-    """A slot for each expression that a later part reads; slots are used again when their last reader is done."""
-    free: dict[str, list[int]] = {FLOAT: [], INT: [], BOOL: []}
-    ending: dict[int, list[int]] = {}
-
-    def place(index: int, part: Part) -> None:
-        kind = scalars[index].kind
-        if free[kind]:
-            layout.slots[index] = free[kind].pop()
-        else:
-            layout.slots[index] = layout.sizes[kind]
-            layout.sizes[kind] += 1
-        ending.setdefault(layout.last_use.get(index, part.number), []).append(index)
-
-    for part in layout.parts:
-        for done in ending.pop(part.number - 1, []):
-            free[scalars[done].kind].append(layout.slots[done])
-        for index in part.statements:
-            if layout.last_use.get(index, part.number) > part.number:
-                place(index, part)
-        for loop in part.begins:
-            for k in layout.places[loop]:
-                place(scalars.loops[loop].variables[k], part)
+    def _series(self, series: Series, part: Part) -> None:
+        """Has what a series reads in no one memory moved into a row before it."""
+        layout = self.layout
+        for operand in outside(series):
+            row = Row(part.path, operand)
+            if shared(operand) or row in layout.rows or numbers(self.scalars, operand):
+                continue
+            if len(where := {memory(self.scalars, index) for index in operand}) == 1 and None not in where:
+                layout.read.update(operand)
+                continue
+            layout.rows.add(row)
+            for place, index in enumerate(operand):
+                home = layout.part_of.get(index)
+                if home is not None and home.path == part.path and index not in layout.in_formula:
+                    layout.moved.setdefault(index, []).append((row, place))
+                else:
+                    part.statements.append(Move(index, row, place))
+        for formula in series.formulas:
+            for place, index in enumerate(formula.results):
+                layout.part_of[index] = part
+                layout.in_formula[index] = self.formulas, place
+            self.formulas += 1

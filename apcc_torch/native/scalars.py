@@ -28,7 +28,7 @@ class Expression(NamedTuple):
     op: Name of the operation; "constant", "held", "input", "variable" and "outcome" have no operands.
     operands: Indices of the operands.
     kind: FLOAT, INT or BOOL.
-    value: What it comes to, where that is known now; of an input its number.
+    value: What it comes to, where that is known now; of an input its number among those of its kind.
     """
 
     op: str
@@ -103,7 +103,7 @@ _FOLDED: dict[str, Callable[..., Constant]] = {
     "int": int,
     "isfinite": math.isfinite,
 }
-_COMMUTATIVE = frozenset({"add", "mul", "eq", "ne", "and", "or"})
+COMMUTATIVE = frozenset({"add", "mul", "eq", "ne", "and", "or"})
 _TRUTH = frozenset({"lt", "le", "eq", "ne", "and", "or", "not", "isfinite"})
 
 
@@ -140,7 +140,7 @@ class Scalars:
         return self.constant(value, FLOAT) if _shapes(value) else self._add("held", (), FLOAT, value, origin)
 
     def input(self, number: int, kind: str) -> int:
-        """The input of this number."""
+        """The input of this number among those of its kind."""
         return self._add("input", (), kind, number)
 
     def entry(self, op: str, loop: int, place: int, kind: str) -> int:
@@ -170,7 +170,7 @@ class Scalars:
         simpler = self._simplified(op, operands, shaping)
         if simpler is not None:
             return simpler
-        if op in _COMMUTATIVE and operands[0] > operands[1]:
+        if op in COMMUTATIVE and operands[0] > operands[1]:
             operands = operands[::-1]
         return self._add(op, operands, kind)
 

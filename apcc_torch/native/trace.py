@@ -12,9 +12,10 @@ from torch.overrides import TorchFunctionMode
 from torch.utils._python_dispatch import TorchDispatchMode
 
 from apcc_torch.errors import CompileError
+from apcc_torch.native.alike import Call
 from apcc_torch.native.loops import looped
 from apcc_torch.native.operators import MOVES, OPERATORS
-from apcc_torch.native.scalars import Scalars
+from apcc_torch.native.scalars import BOOL, FLOAT, INT, Scalars
 from apcc_torch.native.structure import flattened, rebuilt
 from apcc_torch.native.values import Arithmetic, Value, kind_of
 from apcc_torch.repetition import recorded_by
@@ -49,12 +50,14 @@ class Trace(NamedTuple):
     scalars: Its expressions.
     inputs, outputs: Tensors of the flattened arguments and results.
     results: For each output the expressions of its entries, row by row.
+    calls: The tensor operations that made the expressions.
     """
 
     scalars: Scalars
     inputs: list[Leaf]
     outputs: list[Leaf]
     results: list[list[int]]
+    calls: list[Call]
 
 
 def traced(function: Function, example: tuple[Any, ...]) -> Trace:
@@ -82,7 +85,7 @@ def traced(function: Function, example: tuple[Any, ...]) -> Trace:
     outcome = [recorder.value(leaf) for leaf in flattened(returned)]
     outputs = [Leaf(tuple(value.entries.shape), value.dtype) for value in outcome]
     results = [value.entries.flatten().tolist() for value in outcome]
-    return Trace(recorder.arithmetic.scalars, inputs, outputs, results)
+    return Trace(recorder.arithmetic.scalars, inputs, outputs, results, recorder.calls)
 
 
 @contextmanager
@@ -132,16 +135,18 @@ class Recorder(TorchDispatchMode):
     def __init__(self) -> None:
         super().__init__()
         self.arithmetic = Arithmetic()
+        self.calls: list[Call] = []
         self._held: dict[int, tuple[Tensor, Value]] = {}
         self._inside = False
         self._loops: list[int] = []
 
     def inputs(self, given: list[Tensor]) -> list[_Symbol]:
         """Symbols of the arguments."""
-        symbols, number = [], 0
+        symbols, counts = [], {FLOAT: 0, INT: 0, BOOL: 0}
         for leaf in given:
-            numbers = range(number, number := number + leaf.numel())
-            flat = [self.arithmetic.scalars.input(k, kind_of(leaf.dtype)) for k in numbers]
+            kind = kind_of(leaf.dtype)
+            first, counts[kind] = counts[kind], counts[kind] + leaf.numel()
+            flat = [self.arithmetic.scalars.input(k, kind) for k in range(first, counts[kind])]
             entries = torch.tensor(flat, dtype=torch.int64).reshape(leaf.shape)
             symbols.append(_symbol(Value(entries, leaf.dtype), leaf))
         return symbols
@@ -226,6 +231,7 @@ class Recorder(TorchDispatchMode):
         if base == "aten.copy_" and not isinstance(args[0], _Symbol):
             raise NotImplementedError("it writes into what the function holds")
         rows = func(*_rows(args), **_rows(kwargs))
+        first = len(self.arithmetic.scalars.expressions)
         given, named = self.value(args), {key: self.value(item) for key, item in kwargs.items()}
         if base.removeprefix("aten.") in MOVES:
             result = self._moved(Tensor.reshape if base in _VIEWS else func, given, named, rows)
@@ -235,6 +241,9 @@ class Recorder(TorchDispatchMode):
         else:
             raise NotImplementedError("no rule for it")
         _check(name, result, rows)
+        made = [result] if isinstance(result, Value) else result or []
+        if made and len(self.arithmetic.scalars.expressions) > first:
+            self.calls.append(Call(first, len(self.arithmetic.scalars.expressions), made[0].entries.clone()))
         if isinstance(rows, Tensor):
             return _symbol(result, rows)
         return None if rows is None else type(rows)([_symbol(r, row) for r, row in zip(result, rows, strict=True)])
