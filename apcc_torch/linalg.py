@@ -7,6 +7,7 @@ from torch import Tensor
 
 from apcc_torch.modes import full_precision
 from apcc_torch.settings import Setting, aligned
+from apcc_torch.shapes import broadcast
 
 # Where writing the elimination out is faster than the library's batched call: a factor of two at 256 matrices of this
 # size and of six at 4096; at larger sizes the library is as fast or faster (docs/speed.md).
@@ -48,7 +49,7 @@ def solve_floored(A: Tensor, B: Tensor, floor: float) -> Tensor:
 
 def solve_spd_unrolled(A: Tensor, B: Tensor) -> Tensor:
     """`solve_spd` by A = L D L^T written out, the batch in the innermost dimension; differentiable."""
-    n, batch = A.shape[-1], torch.broadcast_shapes(A.shape[:-2], B.shape[:-2])
+    n, batch = A.shape[-1], broadcast(A.shape[:-2], B.shape[:-2])
     a, y = (value.expand(*batch, *value.shape[-2:]).movedim((-2, -1), (0, 1)) for value in (A, B))
     columns, pivots, rest = [], [], []
     positive = torch.ones_like(a[0, 0], dtype=torch.bool)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -124,6 +125,26 @@ def check_stamps(name: str, time: Tensor) -> Tensor:
     return time
 
 
+def broadcast(*shapes: torch.Size) -> torch.Size:
+    """The shape that tensors of these shapes have together.
+
+    Of plain numbers, as numpy does it: at its first call torch's own function imports all of sympy, which takes a
+    second. That one knows the sizes that `torch.compile` and `torch.export` leave open.
+
+    Raises:
+        ShapeError: They do not broadcast.
+
+    Example:
+        >>> broadcast(torch.Size([4, 1]), torch.Size([3]))
+        torch.Size([4, 3])
+    """
+    open_sizes = torch.compiler.is_compiling() or any(type(size) is not int for shape in shapes for size in shape)
+    try:
+        return torch.broadcast_shapes(*shapes) if open_sizes else torch.Size(np.broadcast_shapes(*shapes))
+    except (RuntimeError, ValueError) as error:
+        raise ShapeError(f"shapes do not broadcast: {', '.join(str(tuple(shape)) for shape in shapes)}") from error
+
+
 def batch_shape(**leading: tuple[Tensor, int]) -> torch.Size:
     """The broadcast of the tensors' leading dimensions.
 
@@ -138,7 +159,7 @@ def batch_shape(**leading: tuple[Tensor, int]) -> torch.Size:
     if all(shape == first for shape in others):
         return first
     try:
-        return torch.broadcast_shapes(first, *others)
-    except RuntimeError as error:
+        return broadcast(first, *others)
+    except ShapeError as error:
         listed = ", ".join(f"{name} {tuple(shape)}" for name, shape in shapes.items())
         raise ShapeError(f"leading dimensions do not broadcast: {listed}") from error

@@ -29,6 +29,7 @@ from apcc_torch.model.kinematic_model import KinematicModel, Placed
 from apcc_torch.model.tendons import TendonRouting
 from apcc_torch.part import Part, part_of
 from apcc_torch.settings import Setting, resolved
+from apcc_torch.shapes import broadcast
 
 
 class APCCController(Part):
@@ -167,7 +168,7 @@ class APCCController(Part):
             ShapeError, DtypeError: The arguments do not fit each other.
         """
         self.backbone.check(q, pi_hat)
-        batch = torch.broadcast_shapes(q.shape[:-1], pi_hat.shape[:-1])
+        batch = broadcast(q.shape[:-1], pi_hat.shape[:-1])
         q, pi_hat = q.expand(*batch, q.shape[-1]), pi_hat.expand(*batch, pi_hat.shape[-1])
         # Stamps keep their dtype: large ones need float64 even where the arm runs in float32.
         stamp = torch.zeros_like(q[..., 0]) if time is None else time.to(q.device).expand(batch)

@@ -26,6 +26,7 @@ from apcc_torch.errors import ValueRangeError
 from apcc_torch.lie import so3
 from apcc_torch.part import Part, hold_numbers, hold_rows
 from apcc_torch.settings import Setting, check_setting
+from apcc_torch.shapes import broadcast
 
 ROWS = {"position": 3, "orientation": 3, "direction": 2, "pose": 6}
 """Rows of every kind of task."""
@@ -172,14 +173,14 @@ class Task(Part):
 
 def joined(vectors: Sequence[Tensor]) -> Tensor:
     """Vectors (..., m_i) one after another (..., sum m_i); their leading dimensions broadcast."""
-    batch = torch.broadcast_shapes(*(vector.shape[:-1] for vector in vectors))
+    batch = broadcast(*(vector.shape[:-1] for vector in vectors))
     return torch.cat([vector.expand(*batch, vector.shape[-1]) for vector in vectors], dim=-1)
 
 
 def weighted_rows(rates: Sequence[TaskRate]) -> tuple[Tensor, Tensor]:
     """All rows of several tasks, each times its weight: J (..., m, n) and v (..., m, 1)."""
     weight = joined([rate.weight for rate in rates]).unsqueeze(-1)
-    batch = torch.broadcast_shapes(*(rate.J.shape[:-2] for rate in rates))
+    batch = broadcast(*(rate.J.shape[:-2] for rate in rates))
     J = torch.cat([rate.J.expand(*batch, *rate.J.shape[-2:]) for rate in rates], dim=-2)
     return weight * J, weight * joined([rate.velocity for rate in rates]).unsqueeze(-1)
 

@@ -10,7 +10,7 @@ from torch import Tensor
 from apcc_torch.control.step_io import Target
 from apcc_torch.part import Part, hold_numbers, hold_rows
 from apcc_torch.settings import Setting, aligned, check_setting
-from apcc_torch.shapes import check_finite, check_tensor
+from apcc_torch.shapes import broadcast, check_finite, check_tensor
 
 
 class Trajectory(Protocol):
@@ -68,5 +68,5 @@ class SetPoint(Part):
 
     def forward(self, time: Tensor) -> Target:
         """Target at time (...), s."""
-        x_d = self.x_d.to(time).expand(*torch.broadcast_shapes(self.x_d.shape[:-1], time.shape), 3)
+        x_d = self.x_d.to(time).expand(*broadcast(self.x_d.shape[:-1], time.shape), 3)
         return Target(x_d, torch.zeros_like(x_d))

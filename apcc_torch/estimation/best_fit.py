@@ -12,7 +12,7 @@ from apcc_torch.linalg import solve_spd
 from apcc_torch.model.abscissae import decouple
 from apcc_torch.model.kinematic_model import KinematicModel
 from apcc_torch.modes import full_precision
-from apcc_torch.shapes import check_tensor
+from apcc_torch.shapes import broadcast, check_tensor
 
 _SHORTEST = 1e-4  # m; a section squeezed to nothing keeps this much, so that its neighbours stay finite
 
@@ -71,7 +71,7 @@ def best_fit(
         raise ValueRangeError(f"spacing must be arc or material, got {spacing!r}")
     if iterations < 1:
         raise ValueRangeError(f"iterations must be at least 1, got {iterations}")
-    batch = torch.broadcast_shapes(points.shape[:-2], q.shape[:-1], pi.shape[:-1])
+    batch = broadcast(points.shape[:-2], q.shape[:-1], pi.shape[:-1])
     q, pi = q.expand(*batch, q.shape[-1]), pi.expand(*batch, pi.shape[-1])
     N = points.shape[-2]
 

@@ -23,7 +23,7 @@ from apcc_torch.model.sensor_kinds import SensorKinds
 from apcc_torch.modes import holds
 from apcc_torch.part import Part, hold_rows
 from apcc_torch.settings import Setting, aligned, resolved
-from apcc_torch.shapes import batch_shape, check_finite, check_same, check_tensor
+from apcc_torch.shapes import batch_shape, broadcast, check_finite, check_same, check_tensor
 
 # Of its rest length, the least that a section keeps. A shorter one is never inferred: through nothing lies a section
 # turned inside out, of negative length and bent the other way round, with the very same tip.
@@ -164,7 +164,7 @@ class StateFeedback(Part):
         T = T if self.kinds is None else self.kinds.filled(T)
         others = pi_hat.shape[:-1], oriented.shape[:-1]
         if any(shape != batch for shape in others):
-            batch = torch.broadcast_shapes(batch, *others)
+            batch = broadcast(batch, *others)
         usable, oriented, pi_hat = (v.expand(*batch, v.shape[-1]) for v in (usable, oriented, pi_hat))
         lengths = (pi_hat > 0.0).all(-1, keepdim=True)  # of no length there is nothing to bend
         return pi_hat, self._problem(pi_hat, T, usable & lengths, oriented & lengths)

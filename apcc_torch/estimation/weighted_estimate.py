@@ -10,6 +10,7 @@ from torch import Tensor
 
 from apcc_torch.linalg import solve_spd
 from apcc_torch.modes import full_precision
+from apcc_torch.shapes import broadcast
 
 # How much wider than the limit of what counts as known the unknowns may lie: a prior that keeps the solve regular.
 PRIOR = 100.0
@@ -81,7 +82,7 @@ def weighted_estimate(r: Tensor, Phi: Tensor, S: Tensor, limit: Tensor) -> Weigh
         >>> EstimateStatus(int(estimate.status)).name
         'PARTLY'
     """
-    batch = torch.broadcast_shapes(r.shape[:-1], Phi.shape[:-2], S.shape[:-2])
+    batch = broadcast(r.shape[:-1], Phi.shape[:-2], S.shape[:-2])
     r, Phi = r.expand(*batch, r.shape[-1]), Phi.expand(*batch, *Phi.shape[-2:])
     both = torch.cat((Phi, r.unsqueeze(-1)), dim=-1)
     weighted = solve_spd(S, both)

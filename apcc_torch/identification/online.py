@@ -7,8 +7,8 @@ from typing import Any
 
 import torch
 from torch import Tensor
-from torch.func import jacfwd
 
+from apcc_torch.identification.fit import sensitivity
 from apcc_torch.identification.parameters import Parameters
 from apcc_torch.identification.tendon_arm import Drive, TendonArm
 from apcc_torch.settings import OURS, Settings, resolved, setting
@@ -45,14 +45,10 @@ def adapt(
     predictions, scores = [], []
     for n in range(len(positions)):
         now = drive.rows(slice(n, n + 1))
-        q = arm.rest(now, parameters.values(z))
-
-        def predicted(at: Tensor, now: Drive = now, q: Tensor = q) -> tuple[Tensor, Tensor]:
-            there = arm.positions(now, parameters.values(at), q).flatten()
-            return there, there
-
-        J, prediction = jacfwd(predicted, has_aux=True)(z)
-        predictions.append(prediction.detach())
+        values = parameters.values(z)
+        q = arm.rest(now, values)
+        J, prediction = sensitivity(arm, parameters, now, z, q).flatten(0, -2), arm.bodies(q, values).flatten()
+        predictions.append(prediction)
         innovation = J @ covariance @ J.mT + noise * noise * torch.eye(len(J), dtype=z.dtype)
         gain = torch.linalg.solve(innovation, J @ covariance).mT
         z = z + gain @ (positions[n].flatten() - prediction)

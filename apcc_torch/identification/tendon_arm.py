@@ -35,6 +35,8 @@ _SETTLED = 1e-18
 """At rest where the unbalanced force would store less than this share of the arm's elastic energy..."""
 _LEAST = 1e-6
 """...or of this energy, J, where the arm is straight."""
+_FALLS = 1e-2
+"""A slope serves the next step too where the last one brought this energy down to such a share: slopes cost most."""
 
 
 class Drive(NamedTuple):
@@ -200,46 +202,53 @@ class TendonArm:
             if q is None:
                 q = torch.zeros(len(pulled), len(K), dtype=pulled.dtype)
             q = torch.where(q.isfinite(), q, 0.0)
+            force = self.balance(q, pulled, slide, values)
+            merit, scale = _energy(force, K), torch.ones(len(q), dtype=q.dtype)
+            slope, stale = q.new_zeros(*q.shape, q.shape[-1]), torch.ones(len(q), dtype=torch.bool)
             left = torch.arange(len(q))
-            scale = torch.ones(len(q), dtype=q.dtype)
             for _ in range(iterations):
-                at, pull, way = q[left], pulled[left], slide[left]
-                force = self.balance(at, pull, way, values)
-                merit = _energy(force, K)
-                open_rows = ~(merit <= _SETTLED * _energy(K * at, K).clamp(min=_LEAST))
-                left, at, pull, way = left[open_rows], at[open_rows], pull[open_rows], way[open_rows]
+                left = left[~(merit[left] <= _SETTLED * _energy(K * q[left], K).clamp(min=_LEAST))]
                 if not len(left):
                     break
-                slope = self.slope(at, pull, way, values)
-                step = torch.linalg.solve_ex(slope, -force[open_rows].unsqueeze(-1))[0].squeeze(-1)
+                fresh = stale[left]
+                renewed = left[fresh]
+                if len(renewed):
+                    slope[renewed] = self.slope(q[renewed], pulled[renewed], slide[renewed], values)
+                step = torch.linalg.solve_ex(slope[left], -force[left].unsqueeze(-1))[0].squeeze(-1)
                 # No section turns by more than a radian in one step.
                 largest = step.unflatten(-1, (-1, 3))[..., :2].abs().amax((-2, -1))
-                trial = at + step * (scale[left] / largest.clamp(min=1.0)).unsqueeze(-1)
-                lower = _energy(self.balance(trial, pull, way, values), K) < merit[open_rows]
-                q = q.index_put((left,), torch.where(lower.unsqueeze(-1), trial, at))
-                scale = scale.index_put(
-                    (left,), torch.where(lower, (2.0 * scale[left]).clamp(max=1.0), 0.4 * scale[left])
-                )
+                trial = q[left] + step * (scale[left] / largest.clamp(min=1.0)).unsqueeze(-1)
+                there = self.balance(trial, pulled[left], slide[left], values)
+                energy = _energy(there, K)
+                lower = energy < merit[left]
+                stale[left] = ~(energy < _FALLS * merit[left])
+                # Where the slope was an old one, that may be why it fell no further.
+                shorter = torch.where(fresh, 0.4 * scale[left], scale[left])
+                scale[left] = torch.where(lower, (2.0 * scale[left]).clamp(max=1.0), shorter)
+                kept = left[lower]
+                q[kept], force[kept], merit[kept] = trial[lower], there[lower], energy[lower]
             return q.index_fill(0, left, torch.nan)
 
-    def positions(self, drive: Drive, values: Values, q: Tensor) -> Tensor:
+    def resting_slope(self, drive: Drive, values: Values, q: Tensor) -> Tensor | None:
+        """`slope` (N, n, n) at the equilibrium q; None for the kinematic model, which has no balance."""
+        return None if self.kinematic else self.slope(q, self.pulled(drive, values), self.slide(drive), values)
+
+    def positions(self, drive: Drive, values: Values, q: Tensor, slope: Tensor | None) -> Tensor:
         """Where the bodies are (N, k, 3), m, recording frame, given the equilibrium; differentiable in the values.
 
         Args:
             drive: What drives the arm.
             values: Of the blocks.
             q: (N, 3 n_b) the equilibrium at these values, from `rest`.
+            slope: (N, 3 n_b, 3 n_b) from `resting_slope`.
         """
         pulled = self.pulled(drive, values)
-        if self.kinematic:
+        if slope is None:
             q = self.bends(pulled, values)
         else:
-            slide, fixed = self.slide(drive), q
-            held = {name: value.detach() for name, value in values.items()}
-            slope = self.slope(fixed, pulled.detach(), slide, held)
             # At the equilibrium this step is zero; its derivative is that of the implicit function.
-            unbalanced = self.balance(fixed, pulled, slide, values)
-            q = fixed - torch.linalg.solve_ex(slope, unbalanced.unsqueeze(-1))[0].squeeze(-1)
+            unbalanced = self.balance(q, pulled, self.slide(drive), values)
+            q = q - torch.linalg.solve_ex(slope, unbalanced.unsqueeze(-1))[0].squeeze(-1)
         return self.bodies(q, values)
 
     def bodies(self, q: Tensor, values: Values) -> Tensor:

@@ -8,6 +8,7 @@ from torch import Tensor
 from apcc_torch.model.abscissae import located
 from apcc_torch.model.arm import Arm, vector
 from apcc_torch.model.kinematic_model import KinematicModel
+from apcc_torch.shapes import broadcast
 
 
 def curvature_places(arm: Arm) -> Tensor | None:
@@ -29,7 +30,7 @@ def middle_curvature(model: KinematicModel, q: Tensor, L0: Tensor) -> Tensor:
         tensor([[ 1.2000, -0.4000]], dtype=torch.float64)
     """
     sections = torch.arange(model.n_sections, device=q.device)
-    batch = torch.broadcast_shapes(q.shape[:-1], L0.shape[:-1])
+    batch = broadcast(q.shape[:-1], L0.shape[:-1])
     half = torch.full((*batch, model.n_sections), 0.5, dtype=q.dtype, device=q.device)
     L0 = L0.expand(*batch, model.n_sections)
     points = model.material_points(L0, half, sections.expand(half.shape))
@@ -56,7 +57,7 @@ def curvature_weights(lengths: Tensor, refine: int, X: Tensor) -> Tensor:
                 [-0.5000,  1.5000]], dtype=torch.float64)
     """
     sections = lengths.unflatten(-1, (-1, refine)).sum(-1)
-    batch = torch.broadcast_shapes(X.shape[:-1], sections.shape[:-1])
+    batch = broadcast(X.shape[:-1], sections.shape[:-1])
     X_tilde, section = located(X.expand(*batch, X.shape[-1]), sections.expand(*batch, sections.shape[-1]))
     # In pieces, from the middle of the section's first one.
     along = X_tilde * refine - 0.5

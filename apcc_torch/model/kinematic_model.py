@@ -23,7 +23,7 @@ from apcc_torch.model.tendons import TendonRouting
 from apcc_torch.modes import holds
 from apcc_torch.part import Part, hold_rows
 from apcc_torch.settings import Settings
-from apcc_torch.shapes import batch_shape, check_same, check_tensor
+from apcc_torch.shapes import batch_shape, broadcast, check_same, check_tensor
 
 
 class Placed(Protocol):
@@ -190,7 +190,7 @@ class KinematicModel(Part, ABC):
     def _chain(self, q: Tensor, L0: Tensor) -> Placed:
         """`chain` of arguments that are checked, and broadcast."""
         self.check(q, L0)
-        batch = torch.broadcast_shapes(q.shape[:-1], L0.shape[:-1])
+        batch = broadcast(q.shape[:-1], L0.shape[:-1])
         return self.chain(q.expand(*batch, q.shape[-1]), L0.expand(*batch, L0.shape[-1]))
 
     def material_points(self, L0: Tensor, X_tilde: Tensor, j: Tensor) -> MaterialPoints:

@@ -22,6 +22,7 @@ from apcc_torch.estimation.best_fit import best_fit
 from apcc_torch.estimation.state_feedback import StateFeedback
 from apcc_torch.experiments.dynamic import Arms, thinned
 from apcc_torch.model.abscissae import decouple
+from apcc_torch.shapes import broadcast
 from apcc_torch.simulation.dynamic import DynamicLog
 from apcc_torch.simulation.metrics import backbone_error, orientation_error
 
@@ -141,7 +142,7 @@ def patient_feedback(build: Builder) -> StateFeedback:
 
 def _inferred(feedback: StateFeedback, q: Tensor, pi: Tensor, T: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """q_bar and the sensors' linear and angular errors under rest lengths pi (..., n_b), which broadcast with q."""
-    batch = torch.broadcast_shapes(q.shape[:-1], pi.shape[:-1])
+    batch = broadcast(q.shape[:-1], pi.shape[:-1])
     estimate = feedback(q.expand(*batch, -1), pi.expand(*batch, -1), T)
     angular = orientation_error(feedback.backbone, estimate.q_bar, pi, feedback.abscissae, T[..., :3, :3])
     return estimate.q_bar, estimate.linear_error, angular

@@ -21,6 +21,7 @@ from apcc_torch.recordings.recorded_arm import gate_frames
 from apcc_torch.recordings.recording import Recording
 from apcc_torch.recordings.replay_log import ReplayLog, SensorErrors, sensor_errors
 from apcc_torch.recordings.rest_pose import poses_of, unturned
+from apcc_torch.shapes import broadcast
 from apcc_torch.simulation.progress import Progress, quiet
 
 _SETTINGS = (
@@ -147,7 +148,7 @@ def replay(
     shown, oriented = gated.verdict.position_ok, gated.verdict.orientation_ok
     if mask is None:
         mask = shown.new_ones(shown.shape[-1])
-    batch = torch.broadcast_shapes(q.shape[:-1], pi_hat.shape[:-1], mask.shape[:-1])
+    batch = broadcast(q.shape[:-1], pi_hat.shape[:-1], mask.shape[:-1])
     q, pi_hat = q.expand(*batch, backbone.n), pi_hat.expand(*batch, backbone.n_sections)
     per_frame = (len(shown), *[1] * len(batch), -1)
     shown, oriented = shown.reshape(per_frame) & mask, oriented.reshape(per_frame) & mask

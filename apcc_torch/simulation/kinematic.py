@@ -19,6 +19,7 @@ from apcc_torch.model.kinematic_model import KinematicModel
 from apcc_torch.modes import holds
 from apcc_torch.native.compiled import compiled
 from apcc_torch.part import Part, hold_rows, refuse_parameter, untrained
+from apcc_torch.shapes import broadcast
 from apcc_torch.simulation.progress import Progress, quiet
 from apcc_torch.simulation.rollout import rollout
 from apcc_torch.simulation.sensors import Draws, PoseSensors, SensorState
@@ -69,7 +70,7 @@ def start_configuration(
         >>> backbone.tip(q, L0)
         tensor([0.1000, 0.0500, 0.4000], dtype=torch.float64)
     """
-    batch = torch.broadcast_shapes(L0.shape[:-1], x.shape[:-1])
+    batch = broadcast(L0.shape[:-1], x.shape[:-1])
     q = torch.zeros(*batch, backbone.n, dtype=L0.dtype, device=L0.device) if q is None else q
     for _ in range(iterations):
         tip, J = backbone.tip_and_jacobian(q, L0)

@@ -10,7 +10,7 @@ from torch import Tensor
 from apcc_torch.lie import so3
 from apcc_torch.model.abscissae import decouple
 from apcc_torch.model.kinematic_model import KinematicModel
-from apcc_torch.shapes import check_same, check_tensor
+from apcc_torch.shapes import broadcast, check_same, check_tensor
 
 SHAPE_POINTS = 500
 """N of Eq. (52)."""
@@ -67,7 +67,7 @@ def backbone_error(
         >>> backbone_error(backbone, torch.zeros(6), L0, backbone, torch.zeros(6), L0 + 0.01)
         tensor(0.0100)
     """
-    batch = torch.broadcast_shapes(q_true.shape[:-1], L0_true.shape[:-1], q.shape[:-1], L0.shape[:-1])
+    batch = broadcast(q_true.shape[:-1], L0_true.shape[:-1], q.shape[:-1], L0.shape[:-1])
     flat = [v.expand(*batch, v.shape[-1]).reshape(-1, v.shape[-1]) for v in (q_true, L0_true, q, L0)]
     share = torch.linspace(0.0, 1.0, N, dtype=q.dtype, device=q.device)
     errors = [

@@ -5,6 +5,7 @@ from __future__ import annotations
 import torch
 
 from apcc_torch.identification.arm_blocks import Spreads, arm_parameters
+from apcc_torch.identification.fit import sensitivity
 from apcc_torch.identification.tendon_arm import TIP_MASS, Drive, TendonArm
 from apcc_torch.lie import so3
 from apcc_torch.model.arm_placement import Placement
@@ -95,7 +96,9 @@ def test_derivative_by_the_parameters_is_that_of_differences() -> None:
     arm, drive, z = TendonArm(SMALL), random_drive(5, seed=2), blocks.nominal()
     drive = drive._replace(slide=torch.sign(drive.history[:, 0]))
     q = arm.rest(drive, blocks.values(z))
-    J = torch.func.jacfwd(lambda at: arm.positions(drive, blocks.values(at), q))(z)
+    slope = arm.resting_slope(drive, blocks.values(z), q)
+    J = torch.func.jacfwd(lambda at: arm.positions(drive, blocks.values(at), q, slope))(z)
+    torch.testing.assert_close(sensitivity(arm, blocks, drive, z, q), J, rtol=1e-6, atol=1e-10)
     step = 1e-5 * torch.eye(len(z), dtype=z.dtype)
     for k in range(0, len(z), 3):
         ahead, behind = (arm.predict(drive, blocks.values(z + sign * step[k])) for sign in (1.0, -1.0))
