@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import logging
 import os
 import signal
@@ -65,6 +66,12 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Long files begin first, then those of the most tests."""
     tests = Counter(item.path for item in items)
     items.sort(key=lambda item: (not item.path.as_posix().endswith(LONG), -tests[item.path]))
+
+
+def pytest_collection_finish() -> None:
+    """What is imported stays: no garbage collection need look at its 700,000 objects, for half a second each time."""
+    gc.collect()
+    gc.freeze()
 
 
 @pytest.fixture(scope="session")

@@ -8,6 +8,7 @@ with the exit code out.
 from __future__ import annotations
 
 import atexit
+import gc
 import json
 import os
 import runpy
@@ -23,6 +24,8 @@ from functools import cache
 from importlib import import_module
 from pathlib import Path
 from typing import IO, Any, NoReturn
+
+from hydra.core.plugins import Plugins
 
 PROGRAMS = ("apcc_torch.simulate", "apcc_torch.robot")
 NOTHING = "/dev/null"
@@ -74,6 +77,11 @@ def serve() -> None:
     for name in PROGRAMS:
         import_module(name)
         del sys.modules[name]  # it is about to be run as __main__
+    # What programs load at their first steps.
+    Plugins.instance()
+    for name in ("torch._dynamo", "torch.fx.experimental.symbolic_shapes"):
+        import_module(name)
+    gc.freeze()
     while line := sys.stdin.readline():
         asked = json.loads(line)
         child = os.fork()

@@ -29,7 +29,7 @@ def realtime(priority: int | None = None, lock_memory: bool = False) -> Iterator
     Raises:
         HardwareError: The system does not allow it.
     """
-    interval, threads = sys.getswitchinterval(), torch.get_num_threads()
+    interval, threads, frozen = sys.getswitchinterval(), torch.get_num_threads(), gc.get_freeze_count()
     sys.setswitchinterval(SWITCH_INTERVAL)
     torch.set_num_threads(1)
     before = os.sched_getscheduler(0), os.sched_getparam(0)
@@ -42,7 +42,8 @@ def realtime(priority: int | None = None, lock_memory: bool = False) -> Iterator
     finally:
         if priority is not None:
             os.sched_setscheduler(0, *before)
-        gc.unfreeze()
+        if not frozen:  # what the caller took out of sight stays there, and it cannot be told from the rest
+            gc.unfreeze()
         torch.set_num_threads(threads)
         sys.setswitchinterval(interval)
 

@@ -48,6 +48,9 @@ def lengths_matrix(sections: int = 3) -> np.ndarray:
     return M
 
 
+TO_COORDINATES = np.linalg.inv(lengths_matrix())
+
+
 @dataclass
 class EmulatedArm:
     """Poses that a NatNet server streams, of the motors' positions; a function of time that other processes can load.
@@ -75,15 +78,17 @@ class EmulatedArm:
 
     def __call__(self, time: float) -> np.ndarray:
         """(4, 7) base and bodies, as Motive has them with their orientations reset on the hanging arm."""
-        q = np.linalg.solve(lengths_matrix(), self.tendons()).reshape(3, 3)
+        q = (TO_COORDINATES @ self.tendons()).reshape(3, 3)
         T = np.eye(4)
         T[:3, :3] = HANGING
-        rows = [row_of(self.base[:3, :3], self.base[:3, 3] - self.base[:3, :3] @ PIVOT)]
+        turns, places = [self.base[:3, :3]], [self.base[:3, 3] - self.base[:3, :3] @ PIVOT]
         for (dx, dy, dl), rest in zip(q, self.lengths, strict=True):
             T = T @ section(dx, dy, rest + dl)
             world = self.base @ T
-            rows.append(row_of(world[:3, :3] @ HANGING.T, world[:3, 3]))
-        return np.stack(rows)
+            turns.append(world[:3, :3] @ HANGING.T)
+            places.append(world[:3, 3])
+        # All at once: scipy takes longer to begin than to compute, and this runs at every frame.
+        return np.concatenate((places, Rotation.from_matrix(np.stack(turns)).as_quat()), axis=-1)
 
 
 def placed(x: float, y: float, z: float, yaw: float = 0.4) -> np.ndarray:
@@ -92,8 +97,3 @@ def placed(x: float, y: float, z: float, yaw: float = 0.4) -> np.ndarray:
     T[:3, :3] = Rotation.from_euler("z", yaw).as_matrix()
     T[:3, 3] = x, y, z
     return T
-
-
-def row_of(R: np.ndarray, p: np.ndarray) -> np.ndarray:
-    """Position, quaternion x y z w."""
-    return np.concatenate((p, Rotation.from_matrix(R).as_quat()))
