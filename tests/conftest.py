@@ -44,6 +44,7 @@ LONG = (
     "model/test_models_soromox.py",
     "model/test_soromox.py",
     "identification/test_fit.py",
+    "evaluation/test_leaderboard.py",
     "recordings/test_worked_examples.py",
     "control/test_shape_law.py",
     "paper/test_arm_series.py",

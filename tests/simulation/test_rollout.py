@@ -9,7 +9,6 @@ from typing import Any
 import pytest
 import torch
 from torch import Tensor
-from torch.autograd import gradcheck
 from torch.utils._python_dispatch import TorchDispatchMode
 
 from apcc_torch.control.adaptation import AdaptiveLaw
@@ -115,13 +114,15 @@ def test_gradients_of_a_closed_loop(loop: Any, inputs: dict[str, Tensor]) -> Non
 
     # Micrometres, radians, newtons: relative to its size each is of order one, and has a weight of its own.
     s = torch.zeros(len(inputs), dtype=D, requires_grad=True)
-    nominal = sizes(s).detach()
+    with torch.no_grad():
+        nominal = sizes(s)
     weights = uniform(nominal.shape, 0.5, 1.0, D, rng) / nominal
     (slopes,) = torch.autograd.grad((weights * sizes(s)).sum(), s)
     assert (slopes.abs() > 1e-6).all(), "every input is felt"
-    assert gradcheck(
-        lambda s: (weights * sizes(s)).sum(), (s,), eps=1e-4, atol=3e-5, rtol=1e-4, check_undefined_grad=False
-    )
+    with torch.no_grad():  # what differences are of needs no graph, which takes half of the time
+        ends = [[(weights * sizes(h * way)).sum() for h in (1e-4, -1e-4)] for way in torch.eye(len(s), dtype=D)]
+    differences = torch.stack([(ahead - behind) / 2e-4 for ahead, behind in ends])
+    torch.testing.assert_close(slopes, differences, atol=3e-5, rtol=1e-4)
 
 
 class Memory(TorchDispatchMode):
