@@ -19,7 +19,7 @@ from apcc_torch.settings import MANY, OURS, Settings, setting
 
 _ROBUST = 3.0
 """Residuals beyond so many times their size are weighed down (Huber)."""
-_STEP = 1e-5
+_STEP = 1e-6
 """Step of the differences, in standard scores."""
 
 
@@ -153,7 +153,7 @@ def information(
 def sensitivity(arm: TendonArm, parameters: Parameters, drive: Drive, z: Tensor, q: Tensor) -> Tensor:
     """Derivatives (N, k, 3, P) of the predicted positions by the scores z (P,), m, at the equilibria q (N, n).
 
-    From central differences, all at once: as good as an interval needs, in a fraction of the time of forward
+    From differences, all at once: to some 1e-6, more than an interval needs, in a fraction of the time of forward
     derivatives, most of whose operations would meet tensors that do not depend on z.
     """
     with torch.no_grad():
@@ -164,8 +164,8 @@ def sensitivity(arm: TendonArm, parameters: Parameters, drive: Drive, z: Tensor,
             values: Values = parameters.values(at)
             return arm.positions(drive, values, q, slope)
 
-        ahead, behind = vmap(predicted)(torch.cat((z + steps, z - steps))).unflatten(0, (2, -1))
-        return ((ahead - behind) / (2.0 * _STEP)).movedim(0, -1)
+        here, ahead = vmap(predicted)(torch.cat((z.unsqueeze(0), z + steps))).split((1, len(z)))
+        return ((ahead - here) / _STEP).movedim(0, -1)
 
 
 def _size(residual: Tensor) -> float:
