@@ -18,10 +18,15 @@ Solve = Callable[[Tensor | None, Tensor | None], Tensor]
 
 
 class RateBounds(NamedTuple):
-    """Bounds on qdot: lower and upper (..., n), rad/s and m/s, infinite where there is none."""
+    """Bounds on qdot.
+
+    lower, upper: (..., n) of each rate, rad/s and m/s, infinite where there is none.
+    together: (...) or a number, of what a task asks of all rates together, see `eased`; None for none.
+    """
 
     lower: Tensor
     upper: Tensor
+    together: Setting | None = None
 
 
 class ReferenceBounds:
@@ -66,7 +71,7 @@ def solved_within(solve: Solve, bounds: RateBounds, rounds: int = 4) -> Tensor:
         rounds: Most rounds of that.
     """
     first = solved = solve(None, None)
-    lower, upper = (check_tensor(n, b, solved.shape[-1:]) for n, b in zip(RateBounds._fields, bounds, strict=True))
+    lower, upper = (check_tensor(name, getattr(bounds, name), solved.shape[-1:]) for name in ("lower", "upper"))
     held = torch.zeros_like(solved, dtype=torch.bool)
     fixed = torch.zeros_like(solved)
     for _ in range(rounds):
@@ -78,6 +83,25 @@ def solved_within(solve: Solve, bounds: RateBounds, rounds: int = 4) -> Tensor:
         free = (~held).to(solved)
         solved = solve(fixed, free) * free + fixed
     return torch.where(held.any(-1, keepdim=True), torch.minimum(torch.maximum(solved, lower), upper), first)
+
+
+def eased(damping: float | Tensor, velocity: Tensor, bounds: RateBounds | None) -> float | Tensor:
+    """The damping of a pseudo-inverse that keeps |qdot| within `bounds.together` for a task velocity (..., m, 1).
+
+    The damped pseudo-inverse makes at most |v| / (2 damping) of v, whatever the Jacobian. Rates that are cut one by one
+    near a singular shape lead elsewhere; so a direction of the task that hardly any rate moves is given up first, and
+    the others are followed. As the task comes to rest the damping becomes its own again. Error-damped pseudo-inverse:
+    Chan, Lawrence: General inverse kinematics with the error damped pseudoinverse, ICRA 1988.
+
+    Args:
+        damping: Its own, (..., 1, 1) or a number: the least.
+        velocity: (..., m, 1) asked of the task.
+        bounds: Of qdot; None for none.
+    """
+    if bounds is None or bounds.together is None:
+        return damping
+    needed = torch.linalg.vector_norm(velocity, dim=(-2, -1), keepdim=True) / (2.0 * aligned(bounds.together, 2))
+    return torch.maximum(needed, torch.as_tensor(damping, dtype=needed.dtype, device=needed.device))
 
 
 def within(x: Tensor, bound: Setting | None) -> Tensor:

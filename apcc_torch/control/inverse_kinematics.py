@@ -9,7 +9,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from apcc_torch.control.bounds import RateBounds, solved_within
+from apcc_torch.control.bounds import RateBounds, eased, solved_within
 from apcc_torch.control.gain import check_gain, gain_matrix
 from apcc_torch.linalg import damped_pseudo_inverse
 from apcc_torch.model.coordinates import CONSTANT_CURVATURE, Coordinates
@@ -194,16 +194,17 @@ class InverseKinematics(Part):
 
         def solve(fixed: Tensor | None, free: Tensor | None) -> Tensor:
             if fixed is None or free is None:
-                return self._solved(J_hat, velocity.unsqueeze(-1), descent)
+                return self._solved(J_hat, velocity.unsqueeze(-1), descent, bounds)
             asked = velocity.unsqueeze(-1) - J_hat @ fixed.unsqueeze(-1)
-            return self._solved(J_hat * free.unsqueeze(-2), asked, descent * free.unsqueeze(-1))
+            return self._solved(J_hat * free.unsqueeze(-2), asked, descent * free.unsqueeze(-1), bounds)
 
         return self.bounded(solve(None, None) if bounds is None else solved_within(solve, bounds))
 
-    def _solved(self, J: Tensor, velocity: Tensor, descent: Tensor) -> Tensor:
+    def _solved(self, J: Tensor, velocity: Tensor, descent: Tensor, bounds: RateBounds | None) -> Tensor:
         """Eq. (16), with J^+ (v - J descent) + descent for J^+ v + (I - J^+ J) descent: one product fewer."""
-        J_pinv = damped_pseudo_inverse(J, aligned(self.damping, 2))
-        return (J_pinv @ (velocity - J @ descent) + descent).squeeze(-1)
+        asked = velocity - J @ descent
+        J_pinv = damped_pseudo_inverse(J, eased(aligned(self.damping, 2), asked, bounds))
+        return (J_pinv @ asked + descent).squeeze(-1)
 
     def tip_velocity(self, e: Tensor, xdot_d: Tensor) -> Tensor:
         """xdot_d + K e (..., 3), m/s: what is asked of the tip. Arguments as `forward`."""

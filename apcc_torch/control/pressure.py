@@ -182,9 +182,9 @@ class PressureControl(Part):
         off, drag = spring * (c_d - self.strains(y)), spring * self.strains(ydot)
         tau = aligned(self.K_P, 1) * off - aligned(self.K_D, 1) * drag
         if self.feedforward:
-            tau = tau + stiffness * c_d + self.dynamics.static_load(c_d)
+            tau = tau + self._holding(c_d)
         wish = self._forces(tau) + state.z
-        p = self.chambers.within(self.chambers.pressure(self._shared(wish)))
+        p = self._pressures(wish)
         undone = self.chambers(p) - wish
         share = (step / aligned(self.windup_time, 1)).clamp(max=1.0)
         z = state.z + step * aligned(self.K_I, 1) * self._forces(off) + share * undone
@@ -197,7 +197,7 @@ class PressureControl(Part):
         """Bounds of qdot (..., n) that lead q_d to what the chambers can do, and from there no farther.
 
         Where an elongation is at its limit, bends have to do what it cannot. Near a straight arm they would have to be
-        fast for that, so they have a bound of their own.
+        fast for that, and opposed to each other: so no task asks for faster ones, see `eased`.
 
         Args:
             state: After the last step.
@@ -213,7 +213,21 @@ class PressureControl(Part):
         lower, upper = torch.maximum(lower, -bends), torch.minimum(upper, bends)
         if others is not None:
             lower, upper = torch.maximum(lower, others.lower), torch.minimum(upper, others.upper)
-        return RateBounds(torch.minimum(lower, upper), torch.maximum(lower, upper))
+        return RateBounds(torch.minimum(lower, upper), torch.maximum(lower, upper), self.bend_rate)
+
+    def holding(self, y_d: Tensor) -> Tensor:
+        """Pressures (..., n_a), Pa, within their limits, that hold the arm at rest with lengths y_d (..., n_a), m."""
+        check_tensor("y_d", y_d, (self.B.shape[-1],))
+        return self._pressures(self._forces(self._holding(self.strains(y_d))))
+
+    def _holding(self, c: Tensor) -> Tensor:
+        """The generalized force (..., 3 n_b) that holds the arm at strains c (..., 3 n_b)."""
+        held: Tensor = self.dynamics.stiffness_diagonal.to(c) * c + self.dynamics.static_load(c)
+        return held
+
+    def _pressures(self, u: Tensor) -> Tensor:
+        """Pressures (..., n_a), Pa, within their limits, for forces u (..., n_a)."""
+        return self.chambers.within(self.chambers.pressure(self._shared(u)))
 
     def _forces(self, tau: Tensor) -> Tensor:
         """The least forces (..., n_a), N, that make a generalized force tau (..., 3 n_b)."""

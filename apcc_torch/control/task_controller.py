@@ -112,7 +112,7 @@ class TaskController(APCCController):
         lower, upper = self.tendon_limits.rates(y, dt)
         if bounds is not None:  # of linear forms of qdot, each coordinate being one
             B = torch.cat((B, torch.eye(B.shape[-2], dtype=B.dtype, device=B.device).expand(*B.shape[:-1], -1)), dim=-1)
-            ends = zip((lower, upper), bounds, strict=True)
+            ends = zip((lower, upper), (bounds.lower, bounds.upper), strict=True)
             lower, upper = (torch.cat((a.expand(*b.shape[:-1], -1), b), dim=-1) for a, b in ends)
         qdot, status = self.constrained(rates, B, lower, upper, descent)
         return self.inverse_kinematics.bounded(qdot), status

@@ -17,7 +17,7 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor, nn
 
-from apcc_torch.control.bounds import RateBounds, solved_within
+from apcc_torch.control.bounds import RateBounds, eased, solved_within
 from apcc_torch.control.tasks import JointedModel, Task, TaskRate, TaskTarget, weighted_rows
 from apcc_torch.errors import ShapeError, ValueRangeError
 from apcc_torch.linalg import damped_pseudo_inverse
@@ -130,13 +130,13 @@ class TaskStack(Part):
 
         def solve(fixed: Tensor | None, free: Tensor | None) -> Tensor:
             if fixed is None or free is None:
-                return self._solved(rates, descent)
+                return self._solved(rates, descent, bounds)
             left = [_without(rate, fixed, free) for rate in rates]
-            return self._solved(left, None if descent is None else descent * free)
+            return self._solved(left, None if descent is None else descent * free, bounds)
 
         return solve(None, None) if bounds is None else solved_within(solve, bounds, rounds)
 
-    def _solved(self, rates: Sequence[TaskRate], descent: Tensor | None) -> Tensor:
+    def _solved(self, rates: Sequence[TaskRate], descent: Tensor | None, bounds: RateBounds | None) -> Tensor:
         damping = aligned(self.damping, 2)
         spread = None if self.coordinate_weights is None else self.coordinate_weights.rsqrt()
         qdot: Tensor | None = None
@@ -149,8 +149,9 @@ class TaskStack(Part):
             if spread is not None:
                 J = J * spread.to(J).unsqueeze(-2)
             J_free = J if N is None else J @ N
-            J_pinv = damped_pseudo_inverse(J_free, damping)
-            qdot = J_pinv @ (v if qdot is None else v - J @ qdot) + (0.0 if qdot is None else qdot)
+            left = v if qdot is None else v - J @ qdot
+            J_pinv = damped_pseudo_inverse(J_free, eased(damping, left, bounds))
+            qdot = J_pinv @ left + (0.0 if qdot is None else qdot)
         assert qdot is not None and J_free is not None  # there is at least one task
         spread = None if spread is None else spread.to(qdot)
         if descent is not None:

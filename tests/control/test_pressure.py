@@ -5,6 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from apcc_torch.control.bounds import RateBounds
 from apcc_torch.control.controller import APCCController
 from apcc_torch.control.pressure import PressureControl, PressureControlSettings
 from apcc_torch.control.step_io import Measurement, Target
@@ -75,7 +76,8 @@ def test_the_reference_is_led_back_to_what_chambers_can_do() -> None:
     of = APCCController.for_arm(TRUNK).backbone.coordinates
     far, here = lengths_of(torch.tensor([0.0, 0.0, -0.1, 0.0, 0.0, 0.0]).double()), lengths_of(0.0 * BENT)
     state, _ = loop(loop.initial_state(here), far, here, DT)
-    lower, upper = loop.bounds(state, of)
+    lower, upper, together = loop.bounds(state, of)
+    assert together == 2.0, "no task asks for faster rates"
     assert lower[2] > 0.0 and upper[2] == torch.inf and (lower[[0, 1, 3, 4]] == -2.0).all()
     free, _ = loop(loop.initial_state(here), here, here, DT)
     bends = torch.tensor([2.0, 2.0, torch.inf, 2.0, 2.0, torch.inf]).double()
@@ -119,3 +121,25 @@ def test_the_controller_of_an_arm_with_chambers_asks_for_pressures() -> None:
     # Which way the first chamber, on the x axis of the base, has to give way is told by the kinematics alone.
     side = controller.backbone.tip(torch.tensor([0.1, 0, 0, 0, 0, 0]).double(), L0)[0]
     assert (command.pressure[0] < command.pressure[1]) == bool(side > 0)
+
+
+def test_a_straight_arm_at_its_limits_goes_towards_its_target() -> None:
+    """Elongation spent, bends hardly lift a straight arm: the tip goes sideways first, and no section bends away."""
+    controller, L0 = APCCController.for_arm(TRUNK), TRUNK.rest_lengths()
+    loop = control()
+    q = torch.tensor([0.08, -0.03, -0.01, 0.02, -0.02, -0.01]).double()
+    J = controller.backbone.tip_jacobian(q, L0)
+    velocity = torch.tensor([0.28, 0.13, 0.28]).double()  # 0.3 m/s sideways, as fast upwards
+    state = loop.initial_state(lengths_of(q))._replace(excess=torch.tensor([0.0, 0.0, 2e-5, 0.0, 0.0, 2e-5]).double())
+    bounds = loop.bounds(state, controller.backbone.coordinates)
+    solver = controller.inverse_kinematics
+    sideways = torch.nn.functional.normalize(velocity[:2], dim=0)
+
+    def share(bounds: RateBounds) -> float:
+        """Of the velocity sideways that is asked, what is met."""
+        qdot = solver(J, torch.zeros(3).double(), velocity, q, bounds=bounds)
+        assert (qdot >= bounds.lower).all() and (qdot <= bounds.upper).all()
+        return float((J @ qdot)[:2] @ sideways / velocity[:2].norm())
+
+    assert share(bounds) > 0.7
+    assert share(bounds._replace(together=None)) < 0.0, "rates that are cut one by one lead away from it"

@@ -9,13 +9,14 @@ import torch
 from torch import Tensor
 
 from apcc_torch import APCCController, Arm
-from apcc_torch.control.bounds import RateBounds, solved_within
+from apcc_torch.control.bounds import RateBounds, eased, solved_within
 from apcc_torch.control.inverse_kinematics import InverseKinematics
 from apcc_torch.control.step_io import Command, ControllerState, Measurement, Target
 from apcc_torch.control.task_controller import TaskController
 from apcc_torch.control.tendon_limits import SolverStatus, TendonLimits
 from apcc_torch.estimation.savitzky_golay import SavitzkyGolay
 from apcc_torch.estimation.state_feedback import StateFeedback
+from apcc_torch.linalg import damped_pseudo_inverse
 from apcc_torch.model.abscissae import decouple
 from apcc_torch.model.backbone import PCCBackbone
 from apcc_torch.model.tendons import rack_routing
@@ -115,3 +116,22 @@ def test_a_stack_of_tasks_holds_its_bounds_too(wide: bool) -> None:
     assert float(commands[-1].e.norm(dim=-1).max()) < 2e-4
     assert float(state.q_d[..., 2::3].abs().max()) <= 1e-3
     assert any((c.limits == SolverStatus.LIMITED).any() for c in commands if c.limits is not None)
+
+
+@pytest.mark.parametrize("shape", [(3, 9), (3, 3), (6, 4)])
+def test_a_task_asks_for_no_faster_rates_than_it_may_and_comes_to_rest_as_without(shape: tuple[int, int]) -> None:
+    """Against the least squares that it stands for, |J qdot - v|^2 + damping^2 |qdot|^2, by another solver."""
+    rng = generator(6)
+    J, v = normal((60, *shape), D, rng), normal((60, shape[0], 1), D, rng)
+    J[::2, 1] = J[::2, 0] * (1.0 + 1e-6)  # next to singular, so nearly any rate would be asked for
+    infinite, together = torch.full((60, shape[1]), torch.inf, dtype=D), uniform((60,), 0.1, 2.0, D, rng)
+    bounds = RateBounds(-infinite, infinite, together)
+    damping = eased(1e-3, v, bounds)
+    qdot = damped_pseudo_inverse(J, damping) @ v
+    assert (qdot.norm(dim=(-2, -1)) <= together * (1.0 + 1e-9)).all()
+    wide = torch.cat((J, damping * torch.eye(shape[1], dtype=D)), dim=-2)
+    least = torch.linalg.lstsq(wide, torch.nn.functional.pad(v, (0, 0, 0, shape[1])), driver="gelsd").solution
+    torch.testing.assert_close(qdot, least, rtol=1e-7, atol=1e-9)
+    slow = eased(1e-3, 1e-6 * v, bounds)
+    assert torch.equal(torch.as_tensor(slow), torch.full((60, 1, 1), 1e-3, dtype=D))
+    assert eased(1e-3, v, None) == 1e-3 and eased(1e-3, v, RateBounds(-infinite, infinite)) == 1e-3

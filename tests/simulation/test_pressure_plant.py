@@ -90,3 +90,14 @@ def test_the_closed_loop_comes_to_its_target(kind: type[Plant]) -> None:
     assert error[0] > 0.04 and error[-1] < 0.25 * error[0] and log.diverged_at.max() < 0
     assert log.pressure.shape == log.u.shape and log.pressure.min() >= 0.0 and log.pressure.max() <= 1.2e5
     torch.testing.assert_close(log.u, Valves.of(TRUNK).forces(log.pressure), atol=1e-9, rtol=1e-9)
+
+
+def test_a_target_at_the_edge_is_approached_from_the_start() -> None:
+    """The paper's named set-point in proportion to this arm: high and far, with its whole payload."""
+    goal = torch.tensor([[0.325, 0.15, -0.275]]).double() * float(TRUNK.rest_lengths().sum()) / 0.6
+    arm = Plant.on(TRUNK, torch.full((1,), 0.02).double(), PlantSettings(settle=0.5))
+    controller = APCCController.for_arm(TRUNK, K=1.8, bend_bound=3.0, elongation_bound=0.039)
+    run = DynamicSettings(duration=1.6, control_rate=25.0)
+    log = simulate_dynamic(arm, controller, PoseSensors(), SetPoint(goal), TRUNK.rest_lengths(), run)
+    error = (log.x - log.x_d).norm(dim=-1)
+    assert error.max() <= error[0] + 1e-3 and error[-1] < 0.75 * error[0]
