@@ -38,4 +38,4 @@ def pressed(of: PressureControl) -> Any:
     y, y_d = some(6, scale=1e-3), some(6, seed=1, scale=1e-2)
     state, first = of(of.initial_state(0.0 * y), y_d, y, number(0.02))
     state, second = of(state, 3.0 * y_d, 0.5 * y, number(0.02))
-    return first, second, state.z, state.excess, *of.bounds(state, CONSTANT_CURVATURE)
+    return first, second, state.z, state.excess, *of.bounds(state, CONSTANT_CURVATURE)[:2]

@@ -166,7 +166,7 @@ def pressed(**settings: Any) -> Tensor:
     for k in range(4):
         state, p = made(state, y_d, y + 0.001 * k, rows(0.01, 0.01, 0.01))
     bounds = made.bounds(state, PCCBackbone(2).coordinates)
-    return torch.cat((1e-5 * p, state.z, *(bound.clamp(-99.0, 99.0) for bound in bounds)), dim=-1)
+    return torch.cat((1e-5 * p, state.z, *(bound.clamp(-99.0, 99.0) for bound in bounds[:2])), dim=-1)
 
 
 def inferred(**settings: Any) -> Tensor:

@@ -22,10 +22,10 @@ sb3                   the batch as a Stable-Baselines3 VecEnv; not imported here
 
 from __future__ import annotations
 
+from apcc_torch.envs.outcome import TruncatedReason
 from apcc_torch.envs.reach import ReachEnv, ReachEnvSettings, ReachVectorEnv
 from apcc_torch.envs.registration import register_environments
 from apcc_torch.envs.shape import ShapeEnv, ShapeEnvSettings, ShapeVectorEnv
-from apcc_torch.envs.simulator import TruncatedReason
 from apcc_torch.envs.track import TrackEnv, TrackEnvSettings, TrackVectorEnv
 
 __all__ = [

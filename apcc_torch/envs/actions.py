@@ -1,4 +1,4 @@
-"""What an action means: each mode turns numbers in [-1, 1] into the next desired configuration of the model."""
+"""What an action means: most modes turn numbers in [-1, 1] into the next desired configuration of the model."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from apcc_torch.model.backbone import PCCBackbone
 from apcc_torch.part import Part
 from apcc_torch.settings import OURS, Settings, resolved, setting
 
-ACTIONS = ("configuration_velocity", "task_velocity", "tendon_lengths", "adaptation")
+ACTIONS = ("configuration_velocity", "task_velocity", "tendon_lengths", "pressures", "adaptation")
 
 MOST_ELONGATION = 0.8
 """No section changes its length by more than this share of the shortest one's, whatever its bound in metres."""
@@ -44,7 +44,8 @@ class ActionSettings(Settings):
     def size(self, arm: Arm) -> int:
         """How many numbers an action has."""
         n_b = arm.n_sections
-        sizes = {"task_velocity": 3, "tendon_lengths": arm.n_tendons, "adaptation": n_b}
+        n_a = arm.n_tendons
+        sizes = {"task_velocity": 3, "tendon_lengths": n_a, "pressures": n_a, "adaptation": n_b}
         return sizes.get(self.action, 3 * n_b)
 
 
@@ -59,7 +60,7 @@ class Drive(Part):
         arm: The arm.
         period: Control period, s.
         like: Dtype and device.
-        *settings, **changes: See `ActionSettings`; any action but "adaptation".
+        *settings, **changes: See `ActionSettings`; any action but "adaptation" and "pressures".
     """
 
     settings_type = ActionSettings

@@ -61,6 +61,8 @@ class AdaptiveLoopSettings(ActionSettings):
         control = self.control_settings()
         if self.dynamics == "kinematic" and part_of(control.model) is not PCCBackbone:
             raise ConfigError("model must be PCCBackbone where the arm is kinematic: it follows q_d itself")
+        if self.action == "pressures" and self.dynamics == "kinematic":
+            raise ConfigError("action='pressures' needs dynamics='dynamic': a kinematic arm has no mass to be pushed")
         if self.action == "adaptation" and not isinstance(control.adaptation, AdaptiveLawSettings):
             raise ConfigError("adaptation must be an AdaptiveLaw: the action sets its gamma")
 

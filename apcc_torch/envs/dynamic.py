@@ -1,4 +1,4 @@
-"""The dynamic arm: section V-B's plant of refined sections under tendons, whose lengths a PID loop holds."""
+"""The dynamic arm: section V-B's plant, under tendons whose lengths a PID loop holds, or under chambers."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 from torch.func import functional_call
 
-from apcc_torch.control.pid import ramp
+from apcc_torch.control.pid import TendonReference, ramp
 from apcc_torch.envs.backbone_points import BackbonePoints, ModelPoints, Positions
 from apcc_torch.envs.places import middles_and_ends, places, sensors_of
 from apcc_torch.envs.randomisation import RowParameters
@@ -19,6 +19,7 @@ from apcc_torch.linalg import solve_spd
 from apcc_torch.model.arm import Arm
 from apcc_torch.model.backbone import PCCBackbone
 from apcc_torch.model.integrators import ArmState
+from apcc_torch.model.statics import equilibrium
 from apcc_torch.part import Part, part_of
 from apcc_torch.reading import read_part
 from apcc_torch.settings import OURS, Settings, resolved, setting
@@ -62,8 +63,10 @@ class _Moves(Part):
         self.plant, self.period, self.substeps = plant, period, substeps
 
     def forward(self, state: PlantState, y: Tensor, y_next: Tensor) -> PlantState:
+        pressed = self.plant.sets_pressure
+        held = TendonReference(torch.zeros_like(y), torch.zeros_like(y), pressure=y_next)
         for i in range(1, self.substeps + 1):
-            reference = ramp(y, y_next, i / self.substeps, self.period)
+            reference = held if pressed else ramp(y, y_next, i / self.substeps, self.period)
             state = self.plant.step(state, reference, self.period / self.substeps)
         return state
 
@@ -80,6 +83,17 @@ class _AtRest(Part):
         return dynamics.gravity(q, self.plant.payload), dynamics.stiffness_diagonal
 
 
+class _Fallen(Part):
+    """Where a plant without forces of its actuators comes to rest, (N, n), for `functional_call` likewise."""
+
+    def __init__(self, plant: Plant) -> None:
+        super().__init__()
+        self.plant = plant
+
+    def forward(self) -> Tensor:
+        return equilibrium(self.plant.dynamics, payload=self.plant.payload).q
+
+
 class DynamicArm(Part):
     """N arms with mass; lengths, stiffness and payload may differ from row to row.
 
@@ -93,7 +107,7 @@ class DynamicArm(Part):
         *settings, **changes: See `DynamicArmSettings`.
 
     Raises:
-        ConfigError: The true arm has other numbers of sections or tendons, or chambers.
+        ConfigError: The true arm has other numbers of sections or tendons, or other actuators.
     """
 
     settings_type = DynamicArmSettings
@@ -106,8 +120,8 @@ class DynamicArm(Part):
         self.hold(s)
         own = s.plant_settings()
         self.arm, self.varied, self.refine = own.true_arm(arm), varied, own.refine
-        if self.arm.chambers is not None:
-            raise ConfigError("a dynamic environment drives tendons: an arm with chambers needs dynamics='kinematic'")
+        if (self.arm.chambers is None) != (arm.chambers is None):
+            raise ConfigError("plant.arm.chambers must be chambers where the arm has some, and null where it has none")
         if (self.arm.n_sections, self.arm.n_tendons) != (arm.n_sections, arm.n_tendons):
             raise ConfigError("plant.arm must have as many sections and tendons as the arm")
         plant = part_of(own).on(arm, torch.zeros((), dtype=torch.float64), own).to(like)
@@ -127,7 +141,7 @@ class DynamicArm(Part):
         return self.nominal * rows.lengths.repeat_interleave(self.refine, dim=-1)
 
     def initial(self, rows: RowParameters) -> PlantState:
-        """Arms at rest under gravity, their tendons held at their zero lengths.
+        """Arms at rest under gravity, their tendons held at their zero lengths, chambers at their pressures of rest.
 
         A straight arm that hangs or stands has no force on its bends, and the one on its elongations does not depend on
         them: (K + K_P B B^T) q = -G(0) holds there, not only near it. One that leans finds its rest step by step.
@@ -135,6 +149,9 @@ class DynamicArm(Part):
         plant, own = self.moves.plant, self._own(rows)
         zero = rows.payload.new_zeros(*rows.payload.shape, plant.dynamics.n)
         q = zero
+        if self.leans and plant.sets_pressure:  # nothing but its own stiffness holds it: no iteration with K contracts
+            q = functional_call(_Fallen(plant), own, ())
+            return plant.straight(q.shape[:-1])._replace(arm=ArmState(q, zero))
         for _ in range(LEANING_STEPS if self.leans else 1):
             gravity, stiffness = functional_call(_AtRest(plant), own, (q,))
             held = torch.diag_embed(stiffness) + plant.actuation_stiffness
@@ -142,7 +159,10 @@ class DynamicArm(Part):
         return plant.straight(q.shape[:-1])._replace(arm=ArmState(q, zero))
 
     def step(self, state: PlantState, y: Tensor, y_next: Tensor, q_d: Tensor, rows: RowParameters) -> PlantState:
-        """The arms after one control period in which their tendons' references go from y to y_next (N, n_a), m."""
+        """The arms after one control period in which their tendons' references go from y to y_next (N, n_a), m.
+
+        Chambers are told y_next (N, n_a), Pa, all the while.
+        """
         later: PlantState = functional_call(self.moves, self._own(rows), (state, y, y_next))
         return later
 
@@ -152,8 +172,9 @@ class DynamicArm(Part):
         return positions
 
     def tendons(self, state: PlantState) -> Tensor:
-        """(N, n_a) tendon length changes, m."""
-        return self.moves.plant.lengths(state.arm.q)
+        """(N, n_a) tendon length changes, m; of chambers their pressures, Pa."""
+        plant = self.moves.plant
+        return state.held if plant.sets_pressure else plant.lengths(state.arm.q)
 
     def configuration(self, state: PlantState) -> Tensor:
         """q (N, n) of the true arm."""

@@ -45,7 +45,8 @@ class ReachEnv(ArmEnv):
 
     With `dynamics="kinematic"` the arm follows its desired configuration q_d exactly, and the payload plays no part;
     with `"dynamic"` it is the plant of section V-B [Dalenberg]: six sections with mass, damping and tendon friction,
-    tendon lengths held at B^T q_d by a PID loop, and the payload at the tip.
+    tendon lengths held at B^T q_d by a PID loop, and the payload at the tip. An arm with chambers has no such loop: its
+    valves are told the pressures that hold the nominal arm at q_d, without payload.
 
     ## Action space
 
@@ -56,6 +57,7 @@ class ReachEnv(ArmEnv):
     | `configuration_velocity` | 0 … 8 | rates of q_d: dx, dy, dL of each section | 3 rad/s, 3 rad/s, 0.1 m/s |
     | `task_velocity` | 0 … 2 | velocity of the tip, Eq. (16) with the nominal model at q_d | 0.5 m/s |
     | `tendon_lengths` | 0 … 8 | wanted change of each tendon's length; q_d moves there at the rates above | 0.05 m |
+    | `pressures` | a chamber each | dynamic arms with chambers: the pressure, -1 the least, 1 the most | |
     | `adaptation` | 0 … 2 | the A-PCC controller drives the arm; Gamma is (9, 4.25, 3.5) 10^a | ten times |
 
     The first is the default. In every mode q_d stays within 3 rad and 0.08 m. With `adaptation` the target is the
@@ -71,6 +73,7 @@ class ReachEnv(ArmEnv):
     | 9 … 17 | their change since the last step, a second | m/s | -5 | 5 |
     | 18 … 26 | change of each tendon's length | m | -0.5 | 0.5 |
     | 27 … 35 | what it should be, B^T q_d | m | -0.5 | 0.5 |
+    | 18 … 35 | chambers of a dynamic arm: each one's pressure, then as told, over the greatest | | -1 | 1 |
     | 36 … 38 | x, y, z of the target | m | -1 | 1 |
     | 39 … 41 | from the last sensor, as read, to the target | m | -2 | 2 |
     | 42 … 44 | `adaptation` only: estimated rest lengths | m | -1 | 1 |

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
-from enum import IntEnum
 from typing import Any, NamedTuple, Protocol
 
 import torch
@@ -19,7 +18,9 @@ from apcc_torch.envs.adaptation import AdaptiveLoop, AdaptiveLoopSettings
 from apcc_torch.envs.backbone_points import Positions
 from apcc_torch.envs.dynamic import DynamicArm, DynamicArmSettings
 from apcc_torch.envs.kinematic import KinematicArm, KinematicState
+from apcc_torch.envs.outcome import Outcome, TruncatedReason, View
 from apcc_torch.envs.places import places
+from apcc_torch.envs.pressing import Pressing
 from apcc_torch.envs.randomisation import Ranges, RowParameters
 from apcc_torch.envs.rendering import Picture, picture
 from apcc_torch.envs.row_trees import select
@@ -69,22 +70,6 @@ class SimulatorSettings(AdaptiveLoopSettings, DynamicArmSettings, Ranges):
         return read(self.divergence, DivergenceSettings, "divergence")
 
 
-class TruncatedReason(IntEnum):
-    """Why a row was truncated.
-
-    Example:
-        >>> TruncatedReason(1)
-        <TruncatedReason.TIME_LIMIT: 1>
-    """
-
-    NONE = 0
-    TIME_LIMIT = 1
-    NOT_FINITE = 2
-    """The action or the arm's state is not a number: the row stays where it was."""
-    DIVERGED = 3
-    """The arm's state left its bounds: the row stays where it was. Or the controller's model did, see `Divergence`."""
-
-
 class Body(Protocol):
     """The true arms: `KinematicArm` or `DynamicArm`, each with its own state."""
 
@@ -102,7 +87,7 @@ class EnvState(NamedTuple):
 
     rows: What was drawn at their resets. goal: The task's.
     arm: Of the kinematic or the dynamic arm. q_d: (N, 3 n_b), (N, n) of a controller with another model.
-    y: (N, n_a) tendon references, m.
+    y: (N, n_a) what tendons are told, m; of the chambers of a dynamic arm, Pa.
     controller: Of the adaptive loop; None without one.
     readings: Of the sensors. stream: Their random numbers. step: (N,) int64 since the reset.
     """
@@ -116,22 +101,6 @@ class EnvState(NamedTuple):
     readings: Readings
     stream: Stream
     step: Tensor
-
-
-class View(NamedTuple):
-    """What a state looks like: observation (N, o) float32, and the task's error (N,) m."""
-
-    observation: Tensor
-    error: Tensor
-
-
-class Outcome(NamedTuple):
-    """What came of a step: the view after it, reward (N,) float32, truncated (N,) bool, reason (N,) int64."""
-
-    view: View
-    reward: Tensor
-    truncated: Tensor
-    reason: Tensor
 
 
 class Simulator(Part):
@@ -171,7 +140,8 @@ class Simulator(Part):
             self.arm = DynamicArm(arm, self.period, varied, like, s)
         adapts = s.action == "adaptation"
         self.loop = AdaptiveLoop(arm, like, s) if adapts else None
-        self.drive = None if adapts else Drive(arm, self.period, like, s)
+        self.pressing = Pressing.of(arm, like, s.action) if s.dynamics == "dynamic" else None
+        self.drive = None if adapts or s.action == "pressures" else Drive(arm, self.period, like, s)
         self.sensing = Sensing(s.noise[1] > 0, int(s.delay[1]))
         self.judge = Divergence(s.divergence_settings())
         self.action_size, self.bound = s.size(arm), s.plant_settings().bound
@@ -184,7 +154,8 @@ class Simulator(Part):
         length = float(self.description.rest_lengths().sum())
         position, speed, tendon = (b * length for b in (s.position_bound, s.speed_bound, s.tendon_bound))
         k, observed = self.task.n_sensors, self.task.observed()
-        bounds = [position] * 3 * k + [speed] * 3 * k + [tendon] * 2 * self.description.n_tendons
+        told = tendon if self.pressing is None else 1.0
+        bounds = [position] * 3 * k + [speed] * 3 * k + [told] * 2 * self.description.n_tendons
         bounds += [position] * observed.positions + [2.0 * position] * observed.differences
         bounds += [speed] * observed.velocities
         if self.loop is not None:
@@ -200,7 +171,7 @@ class Simulator(Part):
         points = self.arm.points(arm, rows)
         stream, readings = self.sensing.initial(points.sensors.flatten(1), rows, stream)
         q_d, controller = torch.zeros_like(lengths).repeat_interleave(3, dim=-1), None
-        y = q_d @ self.B
+        y = q_d @ self.B if self.pressing is None else self.pressing.at_rest(q_d)
         if self.loop is not None:
             controller = self.loop.initial(readings.seen.unflatten(-1, (-1, 3)), rows.lengths, rows.estimate)
             q_d = controller.q_d
@@ -261,10 +232,13 @@ class Simulator(Part):
         return picture(q, lengths, arm.base_rotation().to(q), routing, sensors, goal, text)
 
     def _command(self, state: EnvState, action: Tensor) -> tuple[Tensor, Tensor, ControllerState | None]:
-        """The next q_d and tendon references (N, n_a), and the controller's state."""
+        """The next q_d, what tendons or chambers are told (N, n_a), and the controller's state."""
         if self.drive is not None:
             q_d = self.drive(state.q_d, action)
-            return q_d, q_d @ self.B, None
+            y = q_d @ self.B
+            return q_d, y if self.pressing is None else self.pressing.holding(y), None
+        if self.pressing is not None and self.loop is None:
+            return state.q_d, self.pressing.asked(action), None
         assert self.loop is not None and state.controller is not None  # one of the two drives
         time = self.period * state.step.to(action.dtype)
         # The first step integrates one period too: the state's stamp is one period before the first measurement.
@@ -272,6 +246,8 @@ class Simulator(Part):
         target = self.task.target(state.goal, time)
         controller, command = self.loop(state.controller, action, seen, time + self.period, target, state.rows.lengths)
         y = command.q_d @ self.B if command.y is None else command.y
+        if command.pressure is not None:
+            y = command.pressure
         return command.q_d, y, controller
 
     def _stretches(
@@ -296,8 +272,10 @@ class Simulator(Part):
         seen = state.readings.seen
         velocity = (seen - state.readings.before) / self.period
         sensors = seen.unflatten(-1, (-1, 3))
-        tendons = self.arm.tendons(state.arm)
-        parts = [seen, velocity, tendons, state.y, self.task.features(state.goal, time, sensors)]
+        tendons, told = self.arm.tendons(state.arm), state.y
+        if self.pressing is not None:
+            tendons, told = self.pressing.seen(tendons), self.pressing.seen(told)
+        parts = [seen, velocity, tendons, told, self.task.features(state.goal, time, sensors)]
         if state.controller is not None and model is not None:
             parts += [state.controller.pi_hat, (model.sensors - sensors).norm(dim=-1)]
         observation = torch.cat(parts, dim=-1).float()

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from apcc_torch.annotations import shown
-from apcc_torch.envs.simulator import TruncatedReason
+from apcc_torch.envs.outcome import TruncatedReason
 from apcc_torch.envs.vector_env import ArmVectorEnv
 from apcc_torch.errors import ConfigError, DtypeError
 

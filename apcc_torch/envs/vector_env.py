@@ -15,9 +15,10 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from apcc_torch.annotations import check_type, shown
+from apcc_torch.envs.outcome import Outcome, View
 from apcc_torch.envs.rendering import Picture, Renderer, Window, load_renderer
 from apcc_torch.envs.row_trees import replaced, select, taken
-from apcc_torch.envs.simulator import EnvState, Outcome, Simulator, SimulatorSettings, View
+from apcc_torch.envs.simulator import EnvState, Simulator, SimulatorSettings
 from apcc_torch.envs.streams import streams
 from apcc_torch.envs.tasks import Reach
 from apcc_torch.errors import ConfigError, DtypeError, ShapeError, ValueRangeError

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import pytest
 import torch
 
 from apcc_torch.control.pid import TendonReference
 from apcc_torch.envs.dynamic import DynamicArm
 from apcc_torch.envs.randomisation import RowParameters
 from apcc_torch.envs.row_trees import map_rows
-from apcc_torch.errors import ConfigError
 from apcc_torch.model.arm import Arm
 from apcc_torch.model.dynamics import SoftArmDynamics
 from apcc_torch.simulation.plant import Plant
@@ -81,8 +79,3 @@ def test_payload_alone_needs_no_arms_of_their_own() -> None:
     steps = [arm.step(arm.initial(rows), 0 * y, y, y, rows) for arm in (one, other)]
     torch.testing.assert_close(steps[0].arm.q, steps[1].arm.q, rtol=1e-12, atol=1e-14)
     assert float(steps[0].arm.q[1, 2]) > float(steps[0].arm.q[0, 2])  # it hangs lower
-
-
-def test_an_arm_with_chambers_is_refused() -> None:
-    with pytest.raises(ConfigError, match="needs dynamics='kinematic'"):
-        DynamicArm(Arm.load("soft_trunk"), 0.01, False, LIKE)
