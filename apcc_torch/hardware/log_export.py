@@ -128,7 +128,8 @@ def write_rerun(log: RobotLog, path: Path | str) -> Path:
 def write_recording(log: RobotLog, path: Path | str) -> Path:
     """The log as a recording that `simulate experiment=replay` and `identify` read: every new frame of the bodies.
 
-    Columns u are the lengths that the tendons were told to pull in, phi those that were measured, m.
+    Columns u are the lengths that the tendons were told to pull in, phi those that were measured, m; of chambers their
+    pressures, Pa.
 
     Raises:
         DataError: The log lacks measurements or tendons.
@@ -140,7 +141,8 @@ def write_recording(log: RobotLog, path: Path | str) -> Path:
 def recording_of(log: RobotLog, source: str = "") -> Recording:
     """The log as a recording: every new frame of the bodies.
 
-    Inputs are the lengths that the tendons were told to pull in, actuators those that were measured, m.
+    Inputs are the lengths that the tendons were told to pull in, actuators those that were measured, m. Of chambers
+    both are their gauge pressures, Pa.
 
     Args:
         log: The log.
@@ -159,13 +161,15 @@ def recording_of(log: RobotLog, source: str = "") -> Recording:
         raise DataError("the log has no frame of the bodies while their tendons were read")
     poses = torch.from_numpy(frames["poses"].reshape(len(frames), -1, 4, 4).copy())
     ok = torch.from_numpy((frames["position_ok"] & frames["orientation_ok"]).astype(bool))
+    # A tendon that is pulled in gets shorter, y < 0; a pressure pushes as it stands.
+    sign = 1.0 if log.of_pressures else -1.0
     return Recording(
         tuple(f"body{k + 1}" for k in range(poses.shape[1])),
         torch.from_numpy(frames["time"].copy()),
         poses[..., :3, 3],
         rotation_quaternion(poses[..., :3, :3]),
         ok,
-        -torch.from_numpy(tendons["sent"][at].copy()),
-        -torch.from_numpy(tendons["y"][at].copy()),
+        sign * torch.from_numpy(tendons["sent"][at].copy()),
+        sign * torch.from_numpy(tendons["y"][at].copy()),
         source=source,
     )

@@ -55,6 +55,12 @@ class RobotLog:
     layouts: dict[str, Layout] = field(default_factory=dict)
 
     @property
+    def of_pressures(self) -> bool:
+        """Whether its actuators are chambers, told and read in Pa, in place of tendons in m."""
+        layout = self.layouts.get("/tendons")
+        return layout is not None and any(f.name == "sent" and f.about.startswith("Pa") for f in layout.fields)
+
+    @property
     def began(self) -> int:
         """When the run's time was zero, ns since 1970.
 

@@ -69,6 +69,8 @@ class TendonArm:
     """
 
     def __init__(self, arm: Arm, kinematic: bool = False) -> None:
+        if arm.chambers is not None:
+            raise ConfigError("the fit knows arms on tendons: arm.chambers must be null")
         self.kinematic = kinematic
         lengths = arm.rest_lengths()
         self.backbone = PCCBackbone(arm.n_sections, torch.eye(3, dtype=lengths.dtype))

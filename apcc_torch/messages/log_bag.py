@@ -31,8 +31,8 @@ def write_bag(log: RobotLog, path: Path | str, run: Recorded | None = None) -> P
     """Writes a log as a bag: what `load_recording` reads, and what a ROS tool shows.
 
     The bodies are topics of poses, `/inputs` the lengths that tendons were told to pull in and `/actuators` those that
-    were measured, m, as in `write_recording`. The log's own topics follow below `/log`, byte for byte. With the run,
-    `/target` is the tip's, `/tf` has the arm's base and tip, and `/arm` its line for RViz.
+    were measured, m, or pressures, Pa, as in `write_recording`. The log's own topics follow below `/log`, byte for
+    byte. With the run, `/target` is the tip's, `/tf` has the arm's base and tip, and `/arm` its line for RViz.
 
     Args:
         log: The log; a topic whose type is none of ROS 2 is left out and named among its damage.

@@ -11,10 +11,12 @@ from apcc_torch.composition.realtime import RealtimeSettings
 from apcc_torch.errors import ApccError
 from apcc_torch.experiments import realtime_run as realtime
 from apcc_torch.hardware.limits import CommandLimits, PressureLimitSettings
+from apcc_torch.hardware.log_export import write_recording
 from apcc_torch.hardware.log_reader import read_log
 from apcc_torch.hardware.simulated.actuator import SimulatedRegulators
 from apcc_torch.hardware.stops import StopReason
 from apcc_torch.model.arm import Arm
+from apcc_torch.recordings.recording_file import load_recording
 from composed import composed_realtime
 
 ON_AIR = (
@@ -49,6 +51,21 @@ def test_a_run_moves_the_arm_by_pressure_and_replays(tmp_path: Path) -> None:
     # The valves' lag of 0.05 s lies between what was sent and what was read.
     assert 500.0 < np.abs(sent[1:] - p[1:]).max() < 6e4
     assert realtime.replay_log(log).difference <= 1e-9
+
+    # What goes out of it as a recording has pressures as they stand, and the frames that `replay` reads.
+    assert log.of_pressures
+    recording = load_recording(write_recording(log, tmp_path / "recording.csv"))
+    assert recording.inputs is not None and recording.actuators is not None
+    frames = log.topic("/measurement")
+    frames = frames[np.unique(frames["sequence"], return_index=True)[1]]
+    at = {int(row["tick"]): row for row in tendons}
+    told = [k for k, tick in enumerate(frames["tick"].tolist()) if tick in at]
+    assert len(told) > 20
+    for k in told:
+        row = at[int(frames["tick"][k])]
+        assert recording.inputs[k].tolist() == pytest.approx(row["sent"], abs=1e-6)
+        assert recording.actuators[k].tolist() == pytest.approx(row["y"], abs=1e-6)
+    assert recording.inputs.min() >= 0.0 and recording.inputs.max() > 2e4
 
 
 def test_the_chambers_are_vented_without_torque_and_hold_when_held() -> None:
