@@ -10,6 +10,7 @@ import pytest
 from apcc_torch.composition.realtime import RealtimeSettings
 from apcc_torch.errors import ApccError
 from apcc_torch.experiments import realtime_run as realtime
+from apcc_torch.experiments import replay
 from apcc_torch.hardware.limits import CommandLimits, PressureLimitSettings
 from apcc_torch.hardware.log_export import write_recording
 from apcc_torch.hardware.log_reader import read_log
@@ -17,6 +18,7 @@ from apcc_torch.hardware.simulated.actuator import SimulatedRegulators
 from apcc_torch.hardware.stops import StopReason
 from apcc_torch.model.arm import Arm
 from apcc_torch.recordings.recording_file import load_recording
+from composed import composed as composed_simulate
 from composed import composed_realtime
 
 ON_AIR = (
@@ -66,6 +68,9 @@ def test_a_run_moves_the_arm_by_pressure_and_replays(tmp_path: Path) -> None:
         assert recording.inputs[k].tolist() == pytest.approx(row["sent"], abs=1e-6)
         assert recording.actuators[k].tolist() == pytest.approx(row["y"], abs=1e-6)
     assert recording.inputs.min() >= 0.0 and recording.inputs.max() > 2e4
+    words = "experiment=replay", f"data={tmp_path / 'recording.csv'}", "arm=soft_trunk", "figures=false", "compile=off"
+    (tmp_path / "replay").mkdir()
+    assert replay.run(composed_simulate(*words), tmp_path / "replay")["sensor_error_linear_mean_mm"] < 5.0
 
 
 def test_the_chambers_are_vented_without_torque_and_hold_when_held() -> None:
