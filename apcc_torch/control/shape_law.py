@@ -32,8 +32,9 @@ class ShapeLaw(LengthLaw):
     There the lengths l = pi + dL of the model's sections are those with which arcs follow the arm's shape best, drawn
     to the nominal ones as far as shape does not tell them. The law leaves l and the shape as they are. It moves what is
     elongation into the rest length, so Psi falls to nothing. Without a time constant the estimator works alone, and
-    pi_hat stays what it is. Where the arm rests in a shape that its mechanics does not explain, as in contact, it has
-    the status MISFIT, and pi_hat rests too.
+    pi_hat stays what it is. It rests too where the estimate has no ground to move it, and the status says why:
+    INVALID, nothing is measured; MISFIT, the arm rests in a shape that its mechanics does not explain, as in contact;
+    UNTOLD, what is measured leaves a section to what was believed before.
 
     Args:
         nominal: (..., n_b) first estimates, m; not used.
@@ -65,9 +66,10 @@ class ShapeLaw(LengthLaw):
         """See `LengthLaw.speed`."""
         if self.time_constant is None:
             return torch.zeros_like(step.pi_hat), memory
-        explained = step.inference.feedback.status != int(FeedbackStatus.MISFIT)
+        status = step.inference.feedback.status
+        grounded = (status != int(FeedbackStatus.MISFIT)) & (status != int(FeedbackStatus.UNTOLD))
         dL, dt = step.q_bar[..., step.backbone.coordinates.elongations], step.dt.unsqueeze(-1)
         # In a period longer than tau no more than all of it.
         tau = aligned(self.time_constant, 1)
         speed = dL / (torch.maximum(tau, dt) if isinstance(tau, Tensor) else dt.clamp(min=tau))
-        return torch.where(explained.unsqueeze(-1), speed, 0.0), memory
+        return torch.where(grounded.unsqueeze(-1), speed, 0.0), memory

@@ -31,6 +31,8 @@ class FeedbackStatus(IntEnum):
     q_bar is the seed, and the controller holds its command."""
     MISFIT = 4
     """The step became negligible far from the sensors: another branch of the shape, or another arm."""
+    UNTOLD = 5
+    """Of a `ShapeFeedback`: what is measured leaves a section to what was believed before; see `LoadedShape.untold`."""
 
 
 class Feedback(NamedTuple):
@@ -72,9 +74,14 @@ class Inference(NamedTuple):
     problem: Problem
 
 
-def status_of(like: Tensor, within: Tensor, settled: Tensor, far: Tensor, valid: Tensor) -> Tensor:
-    """(...) `FeedbackStatus`, of the dtype of `like`, of rows that are so."""
+def status_of(
+    like: Tensor, within: Tensor, settled: Tensor, far: Tensor, valid: Tensor, untold: Tensor | None = None
+) -> Tensor:
+    """(...) `FeedbackStatus`, of the dtype of `like`, of rows that are so; None for no row."""
     status = torch.full_like(like, int(FeedbackStatus.ITERATION_LIMIT))
     status = status.masked_fill(settled, int(FeedbackStatus.SETTLED))
     status = status.masked_fill(settled & far, int(FeedbackStatus.MISFIT))
-    return status.masked_fill(within, int(FeedbackStatus.CONVERGED)).masked_fill(~valid, int(FeedbackStatus.INVALID))
+    status = status.masked_fill(within, int(FeedbackStatus.CONVERGED))
+    if untold is not None:
+        status = status.masked_fill(untold & (within | ~(settled & far)), int(FeedbackStatus.UNTOLD))
+    return status.masked_fill(~valid, int(FeedbackStatus.INVALID))

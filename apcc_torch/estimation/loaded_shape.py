@@ -27,7 +27,7 @@ from apcc_torch.estimation.inertial_rows import inertial_rows
 from apcc_torch.estimation.loaded_shape_settings import LoadedShapeSettings
 from apcc_torch.estimation.pose_rows import pose_rows, tendon_rows
 from apcc_torch.estimation.shape_state import ShapeState
-from apcc_torch.estimation.tension_prior import tension_information
+from apcc_torch.estimation.tension_prior import tension_information, untold
 from apcc_torch.linalg import scaled_within, solve_spd
 from apcc_torch.model.arm import Arm
 from apcc_torch.model.arm_rest import strain_at_rest
@@ -147,9 +147,10 @@ class LoadedShape(FinerArm, Part):
         Args:
             sections: (..., n) their bends, rad, and lengths, m, in the order of a `PCCBackbone`'s q.
         """
-        load, none = torch.zeros_like(sections[..., 0]), torch.zeros_like(self._spread(sections))
-        sag, still = torch.stack((none, none), dim=-2), torch.zeros_like(load)
-        return ShapeState(sections, load, torch.ones_like(load), sag, still, still)
+        still, none = torch.zeros_like(sections[..., 0]), torch.zeros_like(self._spread(sections))
+        unfelt = (aligned(self.load, 0) * self._mass(still)).expand_as(still)
+        deviation = torch.cat((self._deviation(sections), unfelt.unsqueeze(-1)), dim=-1)
+        return ShapeState(sections, still, deviation, torch.stack((none, none), dim=-2), still, still)
 
     def strain(self, state: ShapeState) -> Tensor:
         """c (..., n): bends, rad, and elongations, m, of the sections."""
@@ -190,26 +191,25 @@ class LoadedShape(FinerArm, Part):
             curvature: (..., n_c, 2) measured, 1/m, not finite where unknown; None where none is known.
         """
         now = self._begun(state, dt)
-        H, slope, prior, misfit = self._weighed(now, T, usable, oriented, y, dt, curvature)
-        last = torch.cat((torch.zeros_like(slope[..., :-1]), torch.ones_like(slope[..., -1:])), dim=-1)
-        solved = solve_spd(H, torch.stack((slope, last), dim=-1))
-        step = solved[..., 0]
+        H, slope, misfit = self._weighed(now, T, usable, oriented, y, dt, curvature)
+        eye = torch.eye(H.shape[-1], dtype=H.dtype, device=H.device).expand_as(H)
+        step, P = solve_spd(H, torch.cat((slope.unsqueeze(-1), eye), dim=-1)).tensor_split((1,), dim=-1)
+        step = step.squeeze(-1)
         step = scaled_within(step, LARGEST_STEP, of=step[..., :-1])
         moved = ShapeState(
             self._longer_than(state.sections + step[..., :-1], SHORTEST * self._lengths(state.sections)),
             (state.load + step[..., -1]).clamp(min=0.0),
-            solved[..., -1, 1] / prior,
+            P.diagonal(dim1=-2, dim2=-1).sqrt(),
             now.sag,
             misfit,
             now.age,
         )
-        finite = torch.isfinite(step).all(-1)
-        return ShapeState(
-            *(
-                torch.where(finite[(..., *(None,) * (new.dim() - finite.dim()))], new, old)
-                for new, old in zip(moved, state, strict=True)
-            )
-        )
+        return moved.where(torch.isfinite(step).all(-1), state)
+
+    def untold(self, state: ShapeState) -> Tensor:
+        """(...) bool, rows in which a strain of a section is still the prior's; see `tension_prior.untold`."""
+        deviation = state.deviation[..., :-1]
+        return untold(deviation / self._deviation(deviation), self.information.to(deviation))
 
     def covariance(
         self,
@@ -250,21 +250,22 @@ class LoadedShape(FinerArm, Part):
         y: Tensor | None,
         dt: Tensor,
         curvature: Tensor | None,
-    ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """Information (..., n + 1, n + 1), it times their change, the load's first variance, and the `misfit`."""
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        """Information (..., n + 1, n + 1), it times their change, and the `misfit`."""
         r, J = self._residual(state, T, usable, oriented, y, curvature)
         prior = (aligned(self.load, 0) * self._mass(r)).square()
-        walked = (state.variance + (aligned(self.load_rate, 0) / aligned(self.load, 0)) ** 2 * dt).clamp(max=1.0)
+        walk = (aligned(self.load_rate, 0) * self._mass(r)).square() * dt
+        variance = torch.minimum(state.deviation[..., -1].square() + walk, prior)
         strain = self.strain(state)
         deviation = self._deviation(strain)
         known = self.information.to(r) / (deviation.unsqueeze(-1) * deviation.unsqueeze(-2))
         away = (known @ (strain - self.rest.to(r)).unsqueeze(-1)).squeeze(-1)
         slope = (J.mT @ r.unsqueeze(-1)).squeeze(-1) - torch.nn.functional.pad(away, (0, 1))
         H = J.mT @ J + torch.nn.functional.pad(known, (0, 1, 0, 1))
-        load = torch.nn.functional.pad((walked * prior).reciprocal().unsqueeze(-1), (slope.shape[-1] - 1, 0))
+        load = torch.nn.functional.pad(variance.reciprocal().unsqueeze(-1), (slope.shape[-1] - 1, 0))
         told = 6 * T.shape[-3] + (0 if self.kinds is None else 3 * len(self.kinds.inertial))
         misfit = r[..., :told].unflatten(-1, (-1, 3)).square().sum(-1).amax(-1)
-        return H + torch.diag_embed(load), slope, prior, misfit
+        return H + torch.diag_embed(load), slope, misfit
 
     def _moved(self, body: Tensor, state: ShapeState) -> Tensor:
         """A Jacobian (..., k, r, n_f) by the strains and the load (..., k, r, n + 1)."""

@@ -163,8 +163,8 @@ class ShapeFeedback(Part):
         step = torch.cat(
             (found - self._seed(q_bar, state, pi_hat), self.shape.change(state.shape, later.shape)), dim=-1
         )
-        misfit = later.shape.misfit > MISFIT**2
-        return later, feedback.judged(found, pi_hat, problem, step.abs().amax(-1), misfit, seen.told)
+        misfit, untold = later.shape.misfit > MISFIT**2, self.shape.untold(later.shape)
+        return later, feedback.judged(found, pi_hat, problem, step.abs().amax(-1), misfit, seen.told, untold)
 
     def covariance(
         self,

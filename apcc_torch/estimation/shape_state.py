@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
+import torch
 from torch import Tensor
 
 
@@ -11,7 +12,9 @@ class ShapeState(NamedTuple):
     """What is known of the arm's shape.
 
     sections: (..., n) their bends, rad, and lengths, m: c of `loaded_shape`, and with it the rest lengths.
-    load: (...) m at the tip, kg. variance: (...) of it, over that of before it is felt.
+    load: (...) m at the tip, kg.
+    deviation: (..., n + 1) of the strains, rad and m, and of the load, kg, as the last step knew them: the roots of the
+        diagonal of `LoadedShape.covariance`.
     sag: (..., 2, n_f) of the pieces' strains, by the arm's own weight and by each kg at the tip.
     misfit: (...) how far the sensor that is farthest off was from the shape that the last step began with, over the
         standard deviation, squared.
@@ -20,7 +23,12 @@ class ShapeState(NamedTuple):
 
     sections: Tensor
     load: Tensor
-    variance: Tensor
+    deviation: Tensor
     sag: Tensor
     misfit: Tensor
     age: Tensor
+
+    def where(self, rows: Tensor, other: ShapeState) -> Self:
+        """This one in rows (...) bool, the other elsewhere."""
+        pairs = zip(self, other, strict=True)
+        return type(self)(*(torch.where(rows[(..., *(None,) * (a.dim() - rows.dim()))], a, b) for a, b in pairs))

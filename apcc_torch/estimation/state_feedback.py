@@ -177,6 +177,7 @@ class StateFeedback(Part):
         step: Tensor,
         misfit: Tensor,
         told: Tensor | None = None,
+        untold: Tensor | None = None,
     ) -> Inference:
         """What the sensors say of a q_bar (..., n) from elsewhere, of which one step was taken.
 
@@ -185,6 +186,7 @@ class StateFeedback(Part):
             step: (...) the largest part of that step, rad and m: with one that is not negligible a row has not settled.
             misfit: (...) bool, rows that are a MISFIT where they settle.
             told: (...) bool, rows of which a sensor tells that does not count here; None for none.
+            untold: (...) bool, rows that are UNTOLD where they are no MISFIT; None for none.
         """
         fit = evaluate(self.backbone, self.mode, q_bar, problem)
         angular, linear = fit.errors()
@@ -192,7 +194,7 @@ class StateFeedback(Part):
         seen = problem.usable.any(-1) if told is None else problem.usable.any(-1) | told
         valid = seen & torch.isfinite(q_bar).all(-1)
         settled, iterations = step < self.settled_step, torch.ones_like(valid, dtype=torch.int64)
-        status = status_of(iterations, within.all(-1), settled, far_off(fit, problem) | misfit, valid)
+        status = status_of(iterations, within.all(-1), settled, far_off(fit, problem) | misfit, valid, untold)
         return Inference(Feedback(q_bar, angular, linear, iterations, status), pi_hat, problem)
 
     def used(self, T: Tensor, mask: Tensor | None = None, angular_mask: Tensor | None = None) -> tuple[Tensor, Tensor]:

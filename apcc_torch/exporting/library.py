@@ -27,6 +27,7 @@ STATUS_WORDS = {
     "ITERATION_LIMIT": "still under way; of a law of the shape until the arm rests",
     "INVALID": "nothing to estimate from: the command is held",
     "MISFIT": "settled far from the sensors: another branch of the shape, or another arm",
+    "UNTOLD": "what is measured leaves a section to what was believed before: rest lengths rest",
 }
 LIMIT_WORDS = {
     "FREE": "no limit mattered",

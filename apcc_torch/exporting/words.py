@@ -48,7 +48,7 @@ MEMBERS: dict[str, Words] = {
     "FollowedShape.lengths": Words("m", "of the model's sections, rest length and elongation"),
     "ShapeState.sections": Words("rad, m", "bends rad, rad and length m of the arm's sections"),
     "ShapeState.load": Words("kg", "at the tip"),
-    "ShapeState.variance": Words("", "of the load, over that of before it is felt"),
+    "ShapeState.deviation": Words("rad, m, kg", "standard deviations of the sections' strains and of the load"),
     "ShapeState.sag": Words("rad, m", "of the arm's pieces, by its own weight and by each kg at the tip"),
     "ShapeState.misfit": Words("", "of the sensor that is farthest off, in standard deviations, squared"),
     "CompositeState.rate": Words("rad/s, m/s", "filtered rate of q_d"),
