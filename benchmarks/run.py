@@ -25,7 +25,7 @@ from typing import Any
 import torch
 from peer_numpy import prepared
 from peer_rigid_chain import tip_and_jacobian
-from subjects import LENGTHS, SENSORS, closed_loop, dynamics, floor, one_row, plant, states, steps
+from subjects import LENGTHS, SENSORS, closed_loop, dynamics, floor, one_row, plant, shipped, states, steps
 from timing import timed, timed_steps
 
 import apcc_torch
@@ -110,6 +110,23 @@ def control_steps(table: Table, options: argparse.Namespace) -> None:
                 table.rows["numpy_difference"] = {"m": wrong}
                 table.add("control_step_numpy", 1, 1, lambda s=numpy_step, g=given: timed_steps(s.step, g[60:], 340))
                 table.compare(f"{name}_aot", "control_step_numpy", "numpy")
+
+
+def shape_steps(table: Table, options: argparse.Namespace) -> None:
+    """The step of the controller that ships, eager and as machine code."""
+    for batch in BATCHES:
+        name = f"shape_step_float64_batch_{batch}"
+        if options.only is not None and options.only not in name + "_aot":
+            continue
+        threads, count = (1, 200) if batch == 1 else (options.threads, 25)
+        c, inputs = steps(batch, D, count, shipped)
+        late = inputs[-min(count - 20, 100) :]
+        many = max(20, round(options.budget / (2e-2 if batch < 4096 else 0.5)))
+        table.add(f"{name}_eager", batch, threads, lambda c=c, g=late, n=many: timed_steps(c, g, n))
+        step = NativeFunction(c, one_row(late[0], batch), threads=threads)
+        calls = 2000 if batch < 4096 else 100
+        table.add(f"{name}_aot", batch, threads, lambda s=step, g=late, n=calls: timed_steps(s, g, n) | floor(s))
+        table.compare(f"{name}_aot", f"{name}_eager", "eager")
 
 
 def standing(step: NativeFunction, given: tuple[Any, ...]) -> Callable[[], None]:
@@ -260,6 +277,8 @@ def main() -> None:
     with torch.no_grad():
         table.add("cold_start", 1, 1, cold_start)
         control_steps(table, options)
+        if options.device == "cpu":
+            shape_steps(table, options)
         forward_dynamics(table, options)
         scaling(table, options)
         if options.device == "cpu":

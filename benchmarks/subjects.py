@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from math import pi
 from typing import Any
 
@@ -11,6 +12,7 @@ from torch import Tensor
 from apcc_torch import (
     AdaptiveLaw,
     APCCController,
+    Arm,
     InverseKinematics,
     Measurement,
     PCCBackbone,
@@ -56,9 +58,17 @@ def controller(dtype: torch.dtype, tendons: bool = True) -> APCCController:
     )
 
 
-def steps(batch: int, dtype: torch.dtype, count: int) -> tuple[APCCController, list[tuple[Any, ...]]]:
+def shipped(dtype: torch.dtype) -> APCCController:
+    """The controller that ships, with its law of the shape."""
+    arm = Arm(lengths=list(LENGTHS), sensors=list(SENSORS))
+    return APCCController.for_arm(arm, K=1.8, elongation_bound=0.08).to(dtype)
+
+
+def steps(
+    batch: int, dtype: torch.dtype, count: int, made: Callable[[torch.dtype], APCCController] = controller
+) -> tuple[APCCController, list[tuple[Any, ...]]]:
     """The controller, and its arguments at `count` successive steps of section V-A's loop."""
-    c = controller(dtype)
+    c = made(dtype)
     lengths = torch.tensor(LENGTHS, dtype=dtype)
     path = SineTrajectory(
         torch.tensor([0.0, 0.0, -0.5], dtype=dtype), torch.tensor([0.5, 0.3, 0.1], dtype=dtype), 0.2 * pi
