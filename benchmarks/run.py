@@ -23,6 +23,7 @@ from collections.abc import Callable
 from typing import Any
 
 import torch
+from kinematics import kinematics
 from peer_numpy import prepared
 from peer_rigid_chain import tip_and_jacobian
 from subjects import LENGTHS, SENSORS, closed_loop, dynamics, floor, one_row, plant, shipped, states, steps
@@ -283,6 +284,7 @@ def main() -> None:
         scaling(table, options)
         if options.device == "cpu":
             backbones(table, options)
+            kinematics(table, options)
             loops(table, options)
     table.rows["machine"] = {
         "processor": processor(),

@@ -149,7 +149,7 @@ class AdaptiveLoop(Part):
         true = self.nominal * lengths
         X = self.sensors.on(true)
         gains = {
-            "laws.0.gamma": torch.diag_embed(self.gamma * 10.0 ** (self.decades * action)),
+            "laws.0.gamma": torch.diag_embed(self.gamma * torch.pow(10.0, self.decades * action)),
             "bounds.ends": torch.nn.functional.pad(X[..., -1:], (true.shape[-1] - 1, 0)),
             "feedback.abscissae": X,
         }

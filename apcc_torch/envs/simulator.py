@@ -286,7 +286,8 @@ class Simulator(Part):
         success = view.error < self.task.tolerance
         if model is None:
             # A bad action has no size; the row's reward is that of where it stays.
-            cost = cost + self.effort * action.square().mean(-1).nan_to_num()
+            size = action.square().mean(-1)
+            cost = cost + self.effort * size.masked_fill(size.isnan(), 0.0)
         else:
             cost = cost + (model.backbone - points.backbone).norm(dim=-1).mean(-1) / self.model_scale
         return (success.to(cost.dtype) - cost).float()

@@ -15,15 +15,15 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from apcc_torch.annotations import check_type, shown
-from apcc_torch.envs.outcome import Outcome, View
+from apcc_torch.envs.outcome import View
 from apcc_torch.envs.rendering import Picture, Renderer, Window, load_renderer
 from apcc_torch.envs.row_trees import replaced, select, taken
 from apcc_torch.envs.simulator import EnvState, Simulator, SimulatorSettings
+from apcc_torch.envs.stepping import stepping
 from apcc_torch.envs.streams import streams
 from apcc_torch.envs.tasks import Reach
 from apcc_torch.errors import ConfigError, DtypeError, ShapeError, ValueRangeError
 from apcc_torch.model.arm import Arm
-from apcc_torch.native.compiled import TorchStep
 from apcc_torch.settings import About, resolved
 
 DTYPES = {"float64": torch.float64, "float32": torch.float32}
@@ -52,7 +52,9 @@ class ArmVectorEnv(VectorEnv[Tensor, Tensor, Tensor]):
         render_mode: "rgb_array", or None for none.
         render_rows: How many rows `render` draws, the first ones.
         renderers: What draws in each render mode, "module:class".
-        compile: Whether the step is compiled by torch, which takes a minute or two at the first step.
+        compile: How the step is run: "off", eagerly; "aot", as machine code, which is built once, in a minute or two,
+            and kept; "auto", so where it can be had, on a GPU through torch's compiler; "inductor", through that. True
+            is "inductor".
         **settings: What the arms do and what is drawn for them, see the task's `settings_type`.
 
     Raises:
@@ -79,7 +81,7 @@ class ArmVectorEnv(VectorEnv[Tensor, Tensor, Tensor]):
         render_mode: str | None = None,
         render_rows: int = 4,
         renderers: Mapping[str, str] | None = None,
-        compile: bool = False,
+        compile: str | bool = "off",
         **settings: Any,
     ) -> None:
         check_type("num_envs", num_envs, "int")
@@ -96,7 +98,8 @@ class ArmVectorEnv(VectorEnv[Tensor, Tensor, Tensor]):
         self.device = torch.device(device)
         like = torch.empty(0, dtype=_dtype(dtype), device=self.device)
         self.simulator = Simulator(self.task(arm, like, s), arm, like, s)
-        self._step = TorchStep(self.simulator, inductor=compile)
+        mode = ("inductor" if compile else "off") if isinstance(compile, bool) else compile
+        self._stepping = stepping(self.simulator, num_envs, mode)
         self.autoreset_mode = _mode(autoreset_mode)
         self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode}
         bounds = self.simulator.bounds.cpu().numpy()
@@ -104,11 +107,20 @@ class ArmVectorEnv(VectorEnv[Tensor, Tensor, Tensor]):
         self.single_action_space = spaces.Box(-1.0, 1.0, (self.simulator.action_size,), dtype=np.float32)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
-        self.state: EnvState | None = None
+        self._state: EnvState | None = None
         self._view: View | None = None
         self._done = torch.zeros(num_envs, dtype=torch.bool, device=self.device)
         self._renderer: Renderer | None = None
         self._window: Window | None = None
+
+    @property
+    def state(self) -> EnvState | None:
+        """Everything about the rows as it is now; None before the first reset. It may be kept, and set again."""
+        return None if self._state is None else self._stepping.snapshot(self._state)
+
+    @state.setter
+    def state(self, state: EnvState | None) -> None:
+        self._state = state
 
     @torch.no_grad()
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Tensor, dict[str, Any]]:
@@ -119,23 +131,22 @@ class ArmVectorEnv(VectorEnv[Tensor, Tensor, Tensor]):
         """
         super().reset(seed=seed)
         mask = None if options is None else options.get("reset_mask")
-        if self.state is None or mask is None:
-            if self.state is not None and seed is None:
-                stream = self.state.stream
+        if self._state is None or mask is None:
+            if self._state is not None and seed is None:
+                stream = self._state.stream
             else:
                 stream = streams(int(self.np_random.integers(2**63)), self.num_envs, self.device)
-            self.state = self.simulator.initial(stream)
-            self._view = self.simulator.view(self.state)
+            self._state, self._view = self._stepping.begun(stream)
             self._done = torch.zeros_like(self._done)
         else:
             rows = self._checked_mask(mask)
             if seed is not None:
                 fresh = streams(int(self.np_random.integers(2**63)), self.num_envs, self.device)
-                self.state = self.state._replace(stream=select(rows, fresh, self.state.stream))
+                self._state = self._state._replace(stream=select(rows, fresh, self._state.stream))
             self._renew(rows)
             self._done = self._done & ~rows
         assert self._view is not None  # made above or by the first reset
-        return self._view.observation.clone(), self._info(self._view, torch.zeros_like(self.state.step))
+        return self._view.observation.clone(), self._info(self._view, torch.zeros_like(self._state.step))
 
     @torch.no_grad()
     def step(self, actions: Tensor | NDArray[Any]) -> tuple[Tensor, Tensor, Tensor, Tensor, dict[str, Any]]:
@@ -145,19 +156,19 @@ class ArmVectorEnv(VectorEnv[Tensor, Tensor, Tensor]):
             ConfigError: `reset` was not called, or a finished row was not reset with autoreset disabled.
             ShapeError: `actions` is not (N, a).
         """
-        if self.state is None:
+        if self._state is None:
             raise ConfigError("reset must be called before the first step")
         action = self._checked_action(actions)
         was_done = self._done
         any_done = bool(was_done.any())
         if any_done and self.autoreset_mode is AutoresetMode.DISABLED:
             raise ConfigError('rows that are done must be reset with options={"reset_mask": mask} before the next step')
-        outcome: Outcome
-        self.state, outcome = self._step(self.state, action)
+        self._state, outcome, observation = self._stepping(self._state, action)
         view, reward, truncated, reason = outcome
         self._view = view
         if any_done:  # the next step after an episode's end: it resets, and its action is not used
             self._renew(was_done)
+            observation = self._view.observation.clone()
             reward, truncated, reason = (
                 reward.masked_fill(was_done, 0.0),
                 truncated & ~was_done,
@@ -168,11 +179,16 @@ class ArmVectorEnv(VectorEnv[Tensor, Tensor, Tensor]):
         if self.autoreset_mode is AutoresetMode.SAME_STEP:
             if bool(truncated.any()):
                 self._renew(truncated)
+                observation = self._view.observation.clone()
                 last = {**info, **{f"_{name}": truncated for name in info}}
-                info = {**self._info(self._view, reason), "final_obs": view.observation, "_final_obs": truncated}
+                info = {
+                    **self._info(self._view, reason),
+                    "final_obs": view.observation.clone(),
+                    "_final_obs": truncated,
+                }
                 info |= {"final_info": last, "_final_info": truncated}
             self._done = torch.zeros_like(truncated)
-        return self._view.observation.clone(), reward, torch.zeros_like(truncated), truncated, info
+        return observation, reward, torch.zeros_like(truncated), truncated, info
 
     def render(self) -> tuple[NDArray[Any], ...] | None:
         """Pictures of the first `render_rows` rows, (H, W, 3) uint8 each; None without a render mode."""
@@ -198,9 +214,9 @@ class ArmVectorEnv(VectorEnv[Tensor, Tensor, Tensor]):
         Raises:
             ConfigError: `reset` was not called.
         """
-        if self.state is None:
+        if self._state is None:
             raise ConfigError("reset must be called before render")
-        return self.simulator.picture(taken(self.state, torch.tensor([row], device=self.device)))
+        return self.simulator.picture(taken(self._state, torch.tensor([row], device=self.device)))
 
     def close_extras(self, **kwargs: Any) -> None:
         """Closes the window, if there is one."""
@@ -209,11 +225,11 @@ class ArmVectorEnv(VectorEnv[Tensor, Tensor, Tensor]):
 
     def _renew(self, rows: Tensor) -> None:
         """New episodes for the rows (N,) bool, the others untouched."""
-        assert self.state is not None and self._view is not None  # there was a reset
+        assert self._state is not None and self._view is not None  # there was a reset
         index = rows.nonzero().squeeze(-1)
-        fresh = self.simulator.initial(taken(self.state.stream, index))
-        self.state = replaced(self.state, index, fresh)
-        self._view = replaced(self._view, index, self.simulator.view(fresh))
+        fresh, view = self._stepping.begun(taken(self._state.stream, index))
+        self._state = replaced(self._state, index, fresh)
+        self._view = replaced(self._view, index, view)
 
     def _info(self, view: View, reason: Tensor) -> dict[str, Any]:
         success = view.error < self.simulator.task.tolerance

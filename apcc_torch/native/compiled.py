@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any, Protocol
+from collections.abc import Callable
+from typing import Any, Protocol, TypeVar
 
 import torch
 from torch import nn
@@ -12,6 +13,8 @@ from apcc_torch.native.function import NativeFunction
 from apcc_torch.plain_text import plain_logger
 
 log = plain_logger(__name__)
+
+T = TypeVar("T")
 
 MODES = ("off", "inductor", "aot", "auto")
 
@@ -81,17 +84,35 @@ def compiled(
         >>> step(torch.tensor([0.0, 1.0]))
         tensor([0.0000, 0.7616])
     """
+
+    def build() -> NativeFunction:
+        function = NativeFunction(module, example, carries)
+        function.program(function.lanes(rows))
+        return function
+
+    made = machine_code(build, mode, type(module).__name__)
+    return TorchStep(module, mode == "inductor") if made is None else made
+
+
+def machine_code(build: Callable[[], T], mode: str, what: str) -> T | None:
+    """What `build` makes, where a mode asks for machine code and it can be had; None where torch is to run it.
+
+    Args:
+        build: Raises CompileError where it cannot be had.
+        mode: See `compiled`.
+        what: Whose it is, for people.
+
+    Raises:
+        ValueRangeError: There is no such mode.
+        CompileError: "aot" is asked for and cannot be had.
+    """
     if mode not in MODES:
         raise ValueRangeError(f"compile must be one of {', '.join(MODES)}, got {mode!r}")
     if mode in ("aot", "auto"):
         try:
-            function = NativeFunction(module, example, carries)
-            function.program(function.lanes(rows))
-            return function
+            return build()
         except CompileError as error:
             if mode == "aot":
-                raise CompileError(
-                    f"{type(module).__name__} is not compiled; compile=auto or off runs it eagerly: {error}"
-                ) from error
-            log.warning("%s is not compiled and runs eagerly: %s", type(module).__name__, error)
-    return TorchStep(module, mode == "inductor")
+                raise CompileError(f"{what} is not compiled; compile=auto or off runs it eagerly: {error}") from error
+            log.warning("%s is not compiled and runs eagerly: %s", what, error)
+    return None

@@ -1,34 +1,4 @@
 // Loads rows into lanes, runs the parts of the program, and stores what comes out. The words between @ are filled in.
-template <class T> static inline void load(const T* from, long stride, int n, const long* row, V* to) {
-    for (int w = 0; w < LANES; ++w)
-        for (int i = 0; i < n; ++i) lane(to[i], w) = (REAL)from[row[w] * stride + i];
-}
-template <class T> static inline void load_int(const T* from, long stride, int n, const long* row, I* to) {
-    for (int w = 0; w < LANES; ++w)
-        for (int i = 0; i < n; ++i) lane_int(to[i], w) = (INTEGER)from[row[w] * stride + i];
-}
-template <class T> static inline void load_bool(const T* from, long stride, int n, const long* row, B* to) {
-    for (int i = 0; i < n; ++i) {
-        I x;
-        for (int w = 0; w < LANES; ++w) lane_int(x, w) = from[row[w] * stride + i];
-        to[i] = x != splat_int(0);
-    }
-}
-template <class T> static inline void store(T* to, long stride, int n, const long* row, V* from) {
-    for (int w = 0; w < LANES; ++w)
-        for (int i = 0; i < n; ++i) to[row[w] * stride + i] = (T)lane(from[i], w);
-}
-template <class T> static inline void store_int(T* to, long stride, int n, const long* row, I* from) {
-    for (int w = 0; w < LANES; ++w)
-        for (int i = 0; i < n; ++i) to[row[w] * stride + i] = (T)lane_int(from[i], w);
-}
-template <class T> static inline void store_bool(T* to, long stride, int n, const long* row, B* from) {
-    for (int i = 0; i < n; ++i) {
-        I x = from[i] ? splat_int(1) : splat_int(0);
-        for (int w = 0; w < LANES; ++w) to[row[w] * stride + i] = (T)lane_int(x, w);
-    }
-}
-
 // After so many microseconds between two calls; and how far the last part reaches, bytes.
 #define PAUSE 500
 #define LAST 16384

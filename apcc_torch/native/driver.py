@@ -32,20 +32,41 @@ def driver(trace: Trace, parts: int, calls: list[str], carried: list[tuple[int, 
     """
     inputs, outputs = places(trace.inputs)[0], places(trace.outputs)[0]
     loads, stores, carry = [], [], []
+    asked = _asked(trace)
     for k, (leaf, start) in enumerate(zip(trace.inputs, inputs, strict=True)):
-        kind, storage = kind_of(leaf.dtype), _STORAGE[leaf.dtype]
-        source = f"static_cast<const {storage}*>(inputs[{k}]), stride[{k}]"
-        loads.append(f"load{_SUFFIX[kind]}({source}, {counted(leaf)}, row, in.{ARRAY[kind]} + {start});")
+        kind = kind_of(leaf.dtype)
+        if not asked[kind].isdisjoint(range(start, start + counted(leaf))):  # what nothing asks for stays where it is
+            source = f"static_cast<const {_STORAGE[leaf.dtype]}*>(inputs[{k}]), stride[{k}]"
+            loads.append(f"load{_SUFFIX[kind]}<{counted(leaf)}>({source}, row, rows, in.{ARRAY[kind]} + {start});")
     for k, (leaf, start) in enumerate(zip(trace.outputs, outputs, strict=True)):
-        kind, storage = kind_of(leaf.dtype), _STORAGE[leaf.dtype]
-        target = f"static_cast<{storage}*>(outputs[{k}]), {counted(leaf)}"
-        stores.append(f"store{_SUFFIX[kind]}({target}, {counted(leaf)}, row, out.{ARRAY[kind]} + {start});")
+        if counted(leaf):
+            kind, target = kind_of(leaf.dtype), f"static_cast<{_STORAGE[leaf.dtype]}*>(outputs[{k}])"
+            stores.append(f"store{_SUFFIX[kind]}<{counted(leaf)}>({target}, row, out.{ARRAY[kind]} + {start});")
     for output, into in carried:
         kind = kind_of(trace.outputs[output].dtype)
         size = f"{counted(trace.outputs[output])} * sizeof({TYPE[kind]})"
         array = ARRAY[kind]
         carry.append(f"std::memcpy(in.{array} + {inputs[into]}, out.{array} + {outputs[output]}, {size});")
-    text = files(__package__).joinpath("driver.hpp").read_text()
+    text = "".join(files(__package__).joinpath(name).read_text() for name in ("rows.hpp", "driver.hpp"))
     for word, lines in {"LOADS": loads, "STORES": stores, "CARRY": carry, "CALLS": calls}.items():
         text = text.replace(f"@{word}@", "\n            ".join(lines))
     return text.replace("@PARTS@", ", ".join(f"(const char*)part_{k}" for k in range(parts)))
+
+
+def _asked(trace: Trace) -> dict[str, set[int]]:
+    """The numbers of the inputs on which a result depends, of each kind."""
+    scalars, seen, numbers = trace.scalars, set[int](), {kind: set[int]() for kind in (FLOAT, INT, BOOL)}
+    left = [index for result in trace.results for index in result]
+    while left:
+        index = left.pop()
+        if index in seen:
+            continue
+        seen.add(index)
+        expression = scalars[index]
+        left += expression.operands
+        if expression.op == "input":
+            numbers[expression.kind].add(int(expression.value or 0))
+        if index in scalars.entry_of:
+            loop = scalars.loops[scalars.entry_of[index].loop]
+            left += [*loop.initial, *loop.results]
+    return numbers

@@ -78,8 +78,10 @@ def square(a: Arithmetic, dtype: torch.dtype, x: Operand) -> Value:
     return a.entrywise(lambda p: a.scalars.make("mul", p, p), [x], kind_of(dtype), dtype)
 
 
-def power(a: Arithmetic, dtype: torch.dtype, x: Operand, exponent: float) -> Value:
+def power(a: Arithmetic, dtype: torch.dtype, x: Operand, exponent: Operand) -> Value:
     make = a.scalars.make
+    if isinstance(exponent, Value):
+        return a.entrywise(lambda p, q: make("pow", p, q), [x, exponent], FLOAT, dtype)
     if exponent == 0.5:
         return entrywise("sqrt", FLOAT)(a, dtype, x)
     if exponent == int(exponent) and 1 <= exponent <= 8:

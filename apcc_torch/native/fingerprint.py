@@ -18,7 +18,7 @@ from apcc_torch.part import row_tensors
 
 _PACKAGE = Path(__file__).resolve().parent.parent
 # Where the code of steps is; of a class from elsewhere its own file counts.
-_FOLDERS = ("control", "estimation", "lie", "model", "native", "simulation")
+_FOLDERS = ("control", "envs", "estimation", "lie", "model", "native", "simulation")
 _CORE = ("*.py", *(f"{folder}/**/*.[ph]*" for folder in _FOLDERS))
 # Their text says what they are.
 _PLAIN = (bool, int, float, complex, str, bytes, slice, range, Enum, torch.dtype, torch.device, torch.Size)
@@ -35,8 +35,8 @@ def _package_code() -> bytes:
     return digest.digest()
 
 
-def _code_of(made: type) -> bytes:
-    """The source of a class from outside the core."""
+def _code_of(made: Any) -> bytes:
+    """The source of a class or a function from outside the core."""
     if made.__module__.split(".")[0] in ("torch", "builtins"):
         return b""
     try:
@@ -67,7 +67,9 @@ def _add(digest: Any, item: Any, where: str, per_row: dict[int, int]) -> None:
         digest.update(f"rows of {item.dtype}{tuple(item.shape[item.dim() - per_row[id(item)] :])}".encode())
     elif isinstance(item, Tensor):
         digest.update(f"{item.dtype}{tuple(item.shape)}".encode())
-        digest.update(item.detach().cpu().contiguous().flatten().view(torch.uint8).numpy().tobytes())
+        # A copy: of a single entry any stride counts as contiguous, and bytes are seen only of one.
+        plain = torch.empty(item.numel(), dtype=item.dtype).copy_(item.detach().flatten())
+        digest.update(plain.view(torch.uint8).numpy().tobytes())
     elif item is None or isinstance(item, _PLAIN):
         digest.update(repr(item).encode())
     elif isinstance(item, (list, tuple)):
@@ -78,6 +80,8 @@ def _add(digest: Any, item: Any, where: str, per_row: dict[int, int]) -> None:
     elif isinstance(item, Mapping):
         for name, part in item.items():
             _add(digest, part, f"{where}.{name}", per_row)
+    elif inspect.isfunction(item):
+        digest.update(_code_of(item) + f"{item.__module__}.{item.__qualname__}".encode())
     elif isinstance(item, type) or (callable(item) and not hasattr(item, "__dict__")):
         digest.update(f"{item.__module__}.{item.__qualname__}".encode())
     elif hasattr(item, "__dict__"):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import ctypes
 import os
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor, nn
@@ -15,10 +15,15 @@ from apcc_torch.errors import CompileError, DtypeError, ShapeError, ValueRangeEr
 from apcc_torch.native.build import compiler, widest_vector
 from apcc_torch.native.fingerprint import fingerprint
 from apcc_torch.native.kept_program import Program, kept_program
+from apcc_torch.native.methods import module_of
 from apcc_torch.native.source import Source, program
 from apcc_torch.native.structure import any_double, described, flattened, rebuilt
 from apcc_torch.native.trace import Leaf, Trace, traced
 from apcc_torch.part import row_tensors
+from apcc_torch.shapes import broadcast
+
+FORMS = 256
+"""How many sets of shapes are remembered; beyond, all are found anew."""
 
 
 class _Rows(nn.Module):
@@ -43,20 +48,50 @@ def one_row(module: nn.Module) -> tuple[nn.Module, tuple[Tensor, ...]]:
     return _Rows(module, list(rows)), extra
 
 
-class _Ready:
-    """Machine code with its arguments, and all that must be alive when it runs."""
+class Ready:
+    """Machine code with its arguments and results, all of which stay alive as long as it may run."""
 
-    __slots__ = ("_arguments", "_kept", "_run")
+    __slots__ = ("_arguments", "_given", "_pointers", "_results", "_run", "_targets")
 
-    def __init__(self, run: Any, arguments: tuple[Any, ...], kept: list[Tensor]) -> None:
-        self._run, self._arguments, self._kept = run, arguments, kept
+    def __init__(
+        self, code: Program, form: _Form, given: list[Tensor], results: list[Tensor], repeats: int, threads: int
+    ) -> None:
+        self._given, self._results, self._run = given, results, code.run
+        self._pointers = (ctypes.c_void_p * len(given))(*[tensor.data_ptr() for tensor in given])
+        self._targets = (ctypes.c_void_p * len(results))(*[tensor.data_ptr() for tensor in results])
+        where = self._pointers, form.strides, self._targets
+        self._arguments = (form.batch.numel(), repeats, threads, code.numbers, *where)
 
     def __call__(self) -> None:
+        """Runs it."""
         self._run(*self._arguments)
+
+    def read_from(self, number: int, tensor: Tensor) -> None:
+        """Makes this the argument of that number; it lies as the one before."""
+        self._given[number] = tensor
+        self._pointers[number] = tensor.data_ptr()
+
+    def write_to(self, number: int, tensor: Tensor) -> None:
+        """Makes this the result of that number, likewise."""
+        self._results[number] = tensor
+        self._targets[number] = tensor.data_ptr()
+
+
+class _Form(NamedTuple):
+    """How arguments and results of one set of shapes lie.
+
+    batch: Leading shape of the results. strides: Entries from row to row of each argument, 0 where all rows share it.
+    expanded: The shape that an argument is to have; None where it has it. outputs: Shapes and types of the results.
+    """
+
+    batch: torch.Size
+    strides: Any
+    expanded: list[tuple[int, ...] | None]
+    outputs: list[tuple[tuple[int, ...], torch.dtype]]
 
 
 class NativeFunction:
-    """A module's `forward` as machine code for any number of rows.
+    """A module's `forward`, another method of it, or a function of a file, as machine code for any number of rows.
 
     It is traced at one row of arguments, written out in scalar arithmetic and built into a shared library, which is
     kept and found again by the module's settings, the code and the machine. What the module holds is taken as it is
@@ -68,7 +103,7 @@ class NativeFunction:
     call at the example has made. A product with a constant zero is zero, even of what is not finite.
 
     Args:
-        module: Of (nested tuples of) tensors, without branches on their values.
+        module: Or `module.method`, or `function`: of (nested tuples of) tensors, without branches on their values.
         example: One row of arguments, without leading dimensions.
         carries: The first result (or the only one) has the form of the first argument, and is its next value: calls may
             then repeat the function.
@@ -78,23 +113,25 @@ class NativeFunction:
         CompileError: It cannot be compiled, or there is no compiler.
 
     Example:
-        >>> pid = TendonPID(K_I=0.0, K_D=0.0)
-        >>> row = torch.zeros(3).double()
-        >>> fast = NativeFunction(pid, (row, row, row, row, row))
-        >>> still, y_d = torch.zeros(1000, 3).double(), torch.full((1000, 3), 0.001).double()
-        >>> fast(still, still, still, y_d, still)[0]
-        tensor([0.7500, 0.7500, 0.7500], dtype=torch.float64)
+        >>> backbone, L0 = PCCBackbone(1), torch.tensor([0.2])
+        >>> fast = NativeFunction(backbone.tip_and_jacobian, (torch.zeros(3), L0))
+        >>> tip, J = fast(torch.zeros(4096, 3), L0)
+        >>> tip[0], J.shape
+        (tensor([0.0000, 0.0000, 0.2000]), torch.Size([4096, 3, 3]))
     """
 
     def __init__(
-        self, module: nn.Module, example: tuple[Any, ...], carries: bool = False, threads: int | None = None
+        self,
+        module: nn.Module | Callable[..., Any],
+        example: tuple[Any, ...],
+        carries: bool = False,
+        threads: int | None = None,
     ) -> None:
-        self.module = module
-        self._named = type(module).__name__
+        self.module, self._named = module_of(module)
         self.threads = threads
-        self._rows = [tensor for tensor, _ in row_tensors(module).values()]
+        self._rows = [tensor for tensor, _ in row_tensors(self.module).values()]
         with torch.inference_mode():
-            self.traced, extra = one_row(module)
+            self.traced, extra = one_row(self.module)
             self._like = self.traced(*example, *extra)
         self.example = (*example, *extra)
         given, returned = flattened(self.example), flattened(self._like)
@@ -104,12 +141,13 @@ class NativeFunction:
             if tensor.device.type != "cpu":
                 raise CompileError(f"only the CPU's code is compiled, the example is on {tensor.device}")
         self._carried = self._pairs(example[0]) if carries else []
-        held = [t for t in (*module.buffers(), *module.parameters()) if t.is_floating_point()]
+        held = [t for t in (*self.module.buffers(), *self.module.parameters()) if t.is_floating_point()]
         # Where anything is of double precision everything is, inside: what torch would round in between is not.
         self._dtype = torch.float64 if any_double(given + returned + held) else torch.float32
         # Here, not at each call: it looks for the compiler.
         self._widest = widest_vector(compiler()) // self._dtype.itemsize
         self._programs: dict[int, Program] = {}
+        self._forms: dict[tuple[tuple[torch.Size, torch.dtype], ...], _Form] = {}
         self._trace: Trace | None = None
 
     def _pairs(self, given: Any) -> list[tuple[int, int]]:
@@ -154,21 +192,18 @@ class NativeFunction:
             raise ShapeError(f"the compiled function takes {wanted} tensors, got {len(given) - len(self._rows)}")
         if repeats < 1 or (repeats > 1 and not self._carried):
             raise ValueRangeError(f"repeats must be 1, or more where the function carries its result; got {repeats}")
-        batch = self._batch(given)
-        rows = batch.numel()
-        if rows == 0:
-            outputs = [torch.empty((*batch, *leaf.shape), dtype=leaf.dtype) for leaf in self._outputs]
-            return rebuilt(self._like, iter(outputs))
-        outputs = [torch.empty((*batch, *leaf.shape), dtype=leaf.dtype) for leaf in self._outputs]
-        self._ready(given, outputs, batch, repeats)()
+        form = self._form(given)
+        outputs = [torch.empty(shape, dtype=dtype) for shape, dtype in form.outputs]
+        if form.batch.numel():
+            self._ready(given, outputs, form, repeats)()
         return rebuilt(self._like, iter(outputs))
 
     def blank(self, given: list[Tensor]) -> Any:
         """What a call with these flattened arguments returns, of zeros."""
-        batch = self._batch([*given, *self._rows])
-        return rebuilt(self._like, (torch.zeros((*batch, *leaf.shape), dtype=leaf.dtype) for leaf in self._outputs))
+        form = self._form([*given, *self._rows])
+        return rebuilt(self._like, (torch.zeros(shape, dtype=dtype) for shape, dtype in form.outputs))
 
-    def bound(self, given: list[Tensor], outputs: list[Tensor]) -> Callable[[], None]:
+    def bound(self, given: list[Tensor], outputs: list[Tensor]) -> Ready:
         """A call on tensors that stay where they are, which may be made again and again.
 
         Args:
@@ -179,26 +214,40 @@ class NativeFunction:
             ShapeError, DtypeError: They are not the example's with leading dimensions.
         """
         given = [*given, *self._rows]
-        return self._ready(given, outputs, self._batch(given))
+        return self._ready(given, outputs, self._form(given))
 
-    def _ready(self, given: list[Tensor], outputs: list[Tensor], batch: torch.Size, repeats: int = 1) -> _Ready:
+    def _ready(self, given: list[Tensor], outputs: list[Tensor], form: _Form, repeats: int = 1) -> Ready:
         """A call that needs nothing more."""
-        pointers = (ctypes.c_void_p * len(given))()
+        kept = [
+            (tensor if shape is None else tensor.expand(shape)).contiguous()
+            for tensor, shape in zip(given, form.expanded, strict=True)
+        ]
+        code = self.program(self.lanes(form.batch.numel()))
+        return Ready(code, form, kept, outputs, repeats, self.threads or torch.get_num_threads())
+
+    def _form(self, given: list[Tensor]) -> _Form:
+        """How arguments of these shapes lie, found once for each set of shapes."""
+        told = tuple([(tensor.shape, tensor.dtype) for tensor in given])
+        form = self._forms.get(told)
+        if form is None:
+            if len(self._forms) >= FORMS:
+                self._forms.clear()
+            form = self._forms[told] = self._found(given)
+        if torch.is_grad_enabled() and any(tensor.requires_grad for tensor in given):
+            raise ValueRangeError("a compiled function has no gradient: call the module itself, or without grad")
+        return form
+
+    def _found(self, given: list[Tensor]) -> _Form:
+        batch = self._batch(given)
         strides = (ctypes.c_long * len(given))()
-        kept = []  # alive as long as the call
+        expanded: list[tuple[int, ...] | None] = []
         for k, (tensor, leaf) in enumerate(zip(given, self._inputs, strict=True)):
-            if tensor.shape != leaf.shape:
-                if tensor.shape[: tensor.dim() - len(leaf.shape)] != batch:
-                    tensor = tensor.expand(*batch, *leaf.shape)
-                strides[k] = tensor[(0,) * len(batch)].numel()
-            tensor = tensor.contiguous()
-            kept.append(tensor)
-            pointers[k] = tensor.data_ptr()
-        targets = (ctypes.c_void_p * len(outputs))(*[t.data_ptr() for t in outputs])
-        rows = batch.numel()
-        code = self.program(self.lanes(rows))
-        arguments = rows, repeats, self.threads or torch.get_num_threads(), code.numbers, pointers, strides, targets
-        return _Ready(code.run, arguments, [*kept, *outputs])
+            own = tensor.shape == leaf.shape
+            strides[k] = 0 if own else torch.Size(leaf.shape).numel()
+            whole = (*batch, *leaf.shape)
+            expanded.append(None if own or tensor.shape == whole else whole)
+        outputs = [((*batch, *leaf.shape), leaf.dtype) for leaf in self._outputs]
+        return _Form(batch, strides, expanded, outputs)
 
     def _batch(self, given: list[Tensor]) -> torch.Size:
         """The broadcast of the leading dimensions."""
@@ -206,14 +255,11 @@ class NativeFunction:
         for tensor, leaf in zip(given, self._inputs, strict=True):
             if tensor.dtype != leaf.dtype:
                 raise DtypeError(f"the compiled function takes {leaf.dtype} where it got {tensor.dtype}")
-            if tensor.requires_grad and torch.is_grad_enabled():
-                raise ValueRangeError("a compiled function has no gradient: call the module itself, or without grad")
             if tensor.shape == leaf.shape:
                 continue
             leading = tensor.dim() - len(leaf.shape)
             if leading < 0 or tensor.shape[leading:] != leaf.shape:
                 want = ", ".join(("...", *map(str, leaf.shape)))
                 raise ShapeError(f"the compiled function takes ({want}) where it got {tuple(tensor.shape)}")
-            if tensor.shape[:leading] != batch:
-                batch = torch.broadcast_shapes(batch, tensor.shape[:leading])
+            batch = broadcast(batch, tensor.shape[:leading])
         return batch

@@ -7,6 +7,7 @@ from torch import Tensor
 
 from apcc_torch.native.scalars import BOOL, FLOAT, INT
 from apcc_torch.native.values import Arithmetic, Value, mapped
+from apcc_torch.shapes import broadcast
 
 Matrix = list[list[int]]
 
@@ -20,7 +21,7 @@ def product(a: Arithmetic, dtype: torch.dtype, x: Value, y: Value) -> Value:
     make = a.scalars.make
     left = x.entries.unsqueeze(0) if x.entries.dim() == 1 else x.entries
     right = y.entries.unsqueeze(-1) if y.entries.dim() == 1 else y.entries
-    batch = torch.broadcast_shapes(left.shape[:-2], right.shape[:-2])
+    batch = broadcast(left.shape[:-2], right.shape[:-2])
     n, m = left.shape[-2], right.shape[-1]
     rows = left.expand(*batch, *left.shape[-2:]).unsqueeze(-2).expand(*batch, n, m, left.shape[-1])
     columns = right.mT.expand(*batch, m, right.shape[-2]).unsqueeze(-3).expand(*batch, n, m, right.shape[-2])
@@ -78,7 +79,7 @@ def cholesky_solve(a: Arithmetic, dtype: torch.dtype, x: Value, factor: Value, u
     """(L L^T)^-1 x by substitution."""
     make, one = a.scalars.make, a.scalars.constant(1.0, FLOAT)
     lower = factor.entries.mT if upper else factor.entries
-    batch = torch.broadcast_shapes(x.entries.shape[:-2], lower.shape[:-2])
+    batch = broadcast(x.entries.shape[:-2], lower.shape[:-2])
     shape = (*batch, *x.entries.shape[-2:])
     solutions = []
     matrices = _matrices(lower.expand(*batch, *lower.shape[-2:]))
@@ -108,7 +109,7 @@ def solve_ex(
     make, constant = a.scalars.make, a.scalars.constant
     if not left or y.entries.dim() < x.entries.dim():
         raise NotImplementedError("only matrices on the right-hand side are solved for")
-    batch = torch.broadcast_shapes(x.entries.shape[:-2], y.entries.shape[:-2])
+    batch = broadcast(x.entries.shape[:-2], y.entries.shape[:-2])
     shape = (*batch, *y.entries.shape[-2:])
     solutions, infos = [], []
     matrices = _matrices(x.entries.expand(*batch, *x.entries.shape[-2:]))

@@ -68,6 +68,49 @@ def test_any_batch(batch: tuple[int, ...], threads: int) -> None:
     same(step(*arguments(batch)), module(*arguments(batch)))
 
 
+class Widths(nn.Module):
+    """Tensors of all widths, through and back."""
+
+    def forward(self, *given: Tensor) -> tuple[Tensor, ...]:
+        return tuple(2.0 * x for x in given)
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, D])
+def test_rows_of_any_width_and_nothing_beside_them(dtype: torch.dtype) -> None:
+    widths = (1, 2, 3, 4, 5, 7, 8, 9, 15, 16, 17, 27)
+    step = NativeFunction(Widths(), tuple(torch.zeros(n, dtype=dtype) for n in widths))
+    for rows in (2, 5, 8, 16, 19):
+        given = [normal((rows, n), dtype, generator(n)) for n in widths]
+        # Results amid memory that is not theirs.
+        around = [torch.full((40 + rows * n,), 7.0, dtype=dtype) for n in widths]
+        results = [whole[20 : 20 + rows * n].view(rows, n) for whole, n in zip(around, widths, strict=True)]
+        step.threads = 1 + rows % 3
+        step.bound(given, results)()
+        for whole, result, x in zip(around, results, given, strict=True):
+            assert torch.equal(result, 2.0 * x)
+            assert whole[:20].eq(7.0).all() and whole[-20:].eq(7.0).all()
+        shared = step(given[0], *(x[0] for x in given[1:]))
+        assert torch.equal(shared[-1], (2.0 * given[-1][:1]).expand(rows, -1))
+
+
+def doubled(x: Tensor) -> Tensor:
+    """A function of this file."""
+    return x + x
+
+
+def test_functions_of_a_file() -> None:
+    x = normal((5, 3), D, generator(6))
+    assert torch.equal(NativeFunction(doubled, (x[0],))(x), 2.0 * x)
+
+
+def test_what_may_hold_anything_is_refused() -> None:
+    held = torch.ones(3)
+    with pytest.raises(CompileError, match=r"a function that a file defines by name; got <function .*lambda"):
+        NativeFunction(lambda x: x + held, (held,))
+    with pytest.raises(CompileError, match="a module, a method of one"):
+        NativeFunction(torch.sin, (held,))
+
+
 def test_leading_dimensions_broadcast() -> None:
     module = Swing()
     step = NativeFunction(module, example())
