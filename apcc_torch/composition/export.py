@@ -90,6 +90,8 @@ def parts(settings: ExportSettings) -> Parts:
     made = control_functions(controller, pi_hat, noise)
     forced, dt = isinstance(controller, CompositeController), None
     if settings.actuation == "forces":
+        if kinematic(controller).pressure is not None:
+            raise ConfigError("actuation=forces is a loop on tendons, and arm has chambers: leave it at lengths")
         routing = kinematic(controller).routing
         assert routing is not None  # of every arm
         made.append(loop_function(TendonPID(settings.plant.pid), routing.n_tendons, forced, pi_hat))

@@ -52,8 +52,12 @@ def files_of(library: Library, steps: Sequence, features: Features) -> dict[str,
         "test/vectors.hpp": vectors(library, steps),
     }
     words = _words(library, steps, features)
+    plant, pressures = features.plant_step is not None, steps.answers[0].pressure is not None
     conditions = {
-        "plant": features.plant_step is not None,
+        "plant": plant,
+        "plant_of_tendons": plant and not pressures,
+        "plant_of_chambers": plant and pressures,
+        "pressures": pressures,
         "forces": features.forces,
         "covariance": steps.uncertainty is not None,
         "tendons": steps.measurements[0].tendons is not None,
@@ -141,6 +145,9 @@ def _words(library: Library, steps: Sequence, features: Features) -> dict[str, s
         "tendons_count": str(steps.answers[0].y.numel()),
         "tolerance": TOLERANCE[library.real],
         "precision": "single" if library.real == torch.float32 else "double",
+        "wanted": "pressure" if steps.answers[0].pressure is not None else "y",
+        "told": "pressures" if steps.answers[0].pressure is not None else "lengths",
+        "actuators": "chambers" if steps.answers[0].pressure is not None else "tendons",
         "compared": "\n".join(_compared(command)),
         "compared_uncertainty": "" if sure is None else "\n".join(_compared(sure)),
         "plant_step": repr(step),

@@ -51,15 +51,16 @@ class Beginning(NamedTuple):
 class Answer(NamedTuple):
     """What a control step tells.
 
-    The command: y (n_a,) m, q_d and qdot (n,), force (n_a,) N or None. The estimate: q_bar (n,), pi_hat (n_b,) m,
-    status (), iterations (), angular_error and linear_error (k,), load () kg or None. e (3,) m and limits () as
-    `Command` has them.
+    The command: y (n_a,) m, q_d and qdot (n,), force (n_a,) N or None, pressure (n_a,) Pa or None. The estimate: q_bar
+    (n,), pi_hat (n_b,) m, status (), iterations (), angular_error and linear_error (k,), load () kg or None. e (3,) m
+    and limits () as `Command` has them.
     """
 
     y: Tensor
     q_d: Tensor
     qdot: Tensor
     force: Tensor | None
+    pressure: Tensor | None
     e: Tensor
     limits: Tensor
     q_bar: Tensor
@@ -146,6 +147,7 @@ class ControlStep(nn.Module):
             command.q_d,
             command.qdot,
             command.force,
+            command.pressure,
             command.e,
             command.limits,
             feedback.q_bar,

@@ -79,7 +79,8 @@ def plant_functions(plant: Plant, dt: float, sensors: Tensor, feed_forward: bool
     now = plant.settled(plant.settle, dt)
     step = SeenPlantStep(plant, dt, sensors)
     still = torch.zeros_like(now.z)
-    reference = TendonReference(still, still, still if feed_forward else None)
+    pressure = now.held.clone() if plant.sets_pressure else None
+    reference = TendonReference(still, still, still if feed_forward else None, pressure)
     return [
         Function("plant_start", "The true arm at rest.", PlantAtRest(now), (), (), ("plant",)),
         Function(

@@ -200,3 +200,18 @@ def test_templates_are_filled() -> None:
         filled("@z@", {}, {})
     assert LibrarySettings(name="arm_1").name == "arm_1"
     assert composed_export("arm=arm_2").arm.lengths == (0.15, 0.15, 0.15)
+
+
+def test_a_library_of_an_arm_with_chambers_tells_pressures(tmp_path: Path) -> None:
+    """In its command, its plant and its example, which reaches its target; each member has words."""
+    small = ("arm=soft_trunk", "feedback.max_iterations=2", "plant.refine=1", "plant.settle=0.5")
+    folder = exported(tmp_path, *small, "with_plant=true", "covariance=false", "name=air")
+    passes(built(folder, "build"))
+    assert re.search(r"status \d  pressures( +\d+\.\d){6} kPa", said([folder / "build" / "example"], folder))
+    header = (folder / "include" / "air.h").read_text(encoding="utf-8")
+    command = header[header.index("typedef struct air_command") : header.index("} air_command")]
+    assert re.search(r"air_real pressure\[6\]; +/\*\*< \[Pa\]", command)
+    assert not re.findall(r"^    \w+ \w+(?:\[\d+\])*;$", header, re.M), "members without words"
+    assert "send(command.pressure);" in (folder / "README.md").read_text(encoding="utf-8")
+    with pytest.raises(ConfigError, match="actuation=forces is a loop on tendons, and arm has chambers"):
+        exported(tmp_path / "other", "arm=soft_trunk", "actuation=forces")

@@ -1,5 +1,5 @@
 // @origin@
-// A loop to begin from: read the sensors, step, send the lengths.
+// A loop to begin from: read the sensors, step, send the command.
 #include <cstdio>
 
 #include "@name@.hpp"
@@ -14,6 +14,11 @@ int main() {
     @name@_plant arm;
     @name@_plant_start(&arm);
     @name@_reference reference{};
+// @end@
+// @if plant_of_chambers@
+    for (int a = 0; a < @name@::tendons; ++a) reference.pressure[a] = arm.held[a];
+// @end@
+// @if plant@
     @name@_view view;
     @name@_plant_step(&arm, &reference, &view);
 
@@ -45,7 +50,11 @@ int main() {
             std::printf("step %d: no sensor to estimate from\n", k);
             return 1;
         }
-// @if plant@
+// @if plant_of_chambers@
+        for (int a = 0; a < @name@::tendons; ++a) reference.pressure[a] = command.pressure[a];
+        for (int step = 0; step < @substeps@; ++step) @name@_plant_step(&arm, &reference, &view);
+// @end@
+// @if plant_of_tendons@
         for (int step = 0; step < @substeps@; ++step) {  // the motors run to the new lengths in one period
             for (int a = 0; a < @name@::tendons; ++a) {
                 const double left = period - step * @plant_step@;
@@ -55,15 +64,23 @@ int main() {
                 reference.y_d[a] += static_cast<@name@::Real>(@plant_step@) * reference.ydot_d[a];
             @name@_plant_step(&arm, &reference, &view);
         }
+// @end@
+// @if plant@
         for (int s = 0; s < @name@::sensors; ++s)
             for (int i = 0; i < 16; ++i) measurement.T[s][i / 4][i % 4] = view.T[s][i / 4][i % 4];
 // @end@
         if (k % 100 == 0) {
-            std::printf("%5.2f s  error %7.3f %7.3f %7.3f mm  status %d  lengths", k * period,
+            std::printf("%5.2f s  error %7.3f %7.3f %7.3f mm  status %d  @told@", k * period,
                         1e3 * static_cast<double>(command.e[0]), 1e3 * static_cast<double>(command.e[1]),
                         1e3 * static_cast<double>(command.e[2]), static_cast<int>(command.status));
+// @if not pressures@
             for (double y : command.y) std::printf(" %6.1f", 1e3 * y);
             std::printf(" mm\n");
+// @end@
+// @if pressures@
+            for (double p : command.pressure) std::printf(" %6.1f", 1e-3 * p);
+            std::printf(" kPa\n");
+// @end@
         }
     }
     return 0;

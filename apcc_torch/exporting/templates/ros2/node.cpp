@@ -24,7 +24,7 @@ void to_matrix(const geometry_msgs::msg::Pose& pose, @name@::Real (&T)[4][4]) {
 class ControllerNode : public rclcpp::Node {
    public:
     ControllerNode() : Node("@name@"), measurement_(@name@::all_sensors()) {
-        lengths_ = create_publisher<std_msgs::msg::Float64MultiArray>("lengths", 1);
+        told_ = create_publisher<std_msgs::msg::Float64MultiArray>("@told@", 1);
         targets_ = create_subscription<geometry_msgs::msg::PointStamped>(
             "target", 1, [this](const geometry_msgs::msg::PointStamped& message) {
                 target_.x_d[0] = static_cast<@name@::Real>(message.point.x);
@@ -61,15 +61,15 @@ class ControllerNode : public rclcpp::Node {
         const @name@::Command& command = controller_.step(measurement_, target_);
         if (command.status == @NAME@_INVALID) return;
         std_msgs::msg::Float64MultiArray out;
-        out.data.assign(command.y, command.y + @name@::tendons);
-        lengths_->publish(out);
+        out.data.assign(command.@wanted@, command.@wanted@ + @name@::tendons);
+        told_->publish(out);
     }
 
     @name@::Controller controller_;
     @name@::Measurement measurement_;
     @name@::Target target_{};
     bool begun_ = false, aimed_ = false;
-    rclcpp::Publisher<std_msgs::msg::Float64MultiArray>::SharedPtr lengths_;
+    rclcpp::Publisher<std_msgs::msg::Float64MultiArray>::SharedPtr told_;
     rclcpp::Subscription<geometry_msgs::msg::PointStamped>::SharedPtr targets_;
 // @if tendons@
     rclcpp::Subscription<std_msgs::msg::Float64MultiArray>::SharedPtr tendons_;
