@@ -61,8 +61,8 @@ UNRUN_BLOCKS: dict[str, str] = {
     "docs/environments.md 3": "trains for minutes; tests/envs/test_libraries.py runs the adapter",
     "docs/report.md 1": "pandas is not among the dev requirements, and the sweep is the reader's",
     "docs/speed.md 1": "builds a library for half a minute; tests/native/test_steps.py calls one",
-    "docs/speed.md 2": "goes on from the block before it; tests/native/test_standing.py calls one",
-    "docs/speed.md 3": "builds three libraries; tests/native/test_kinematics.py does, of smaller arms",
+    "docs/speed.md 2": "builds three libraries; tests/native/test_kinematics.py does, of smaller arms",
+    "docs/speed.md 3": "goes on from the first; tests/native/test_standing.py calls one",
 }
 """Block -> why it is not run."""
 
