@@ -148,9 +148,8 @@ class LoadedShape(FinerArm, Part):
             sections: (..., n) their bends, rad, and lengths, m, in the order of a `PCCBackbone`'s q.
         """
         still, none = torch.zeros_like(sections[..., 0]), torch.zeros_like(self._spread(sections))
-        unfelt = (aligned(self.load, 0) * self._mass(still)).expand_as(still)
-        deviation = torch.cat((self._deviation(sections), unfelt.unsqueeze(-1)), dim=-1)
-        return ShapeState(sections, still, deviation, torch.stack((none, none), dim=-2), still, still)
+        unknown = torch.full_like(torch.cat((sections, still.unsqueeze(-1)), dim=-1), torch.inf)
+        return ShapeState(sections, still, unknown, torch.stack((none, none), dim=-2), still, still)
 
     def strain(self, state: ShapeState) -> Tensor:
         """c (..., n): bends, rad, and elongations, m, of the sections."""

@@ -14,7 +14,7 @@ class ShapeState(NamedTuple):
     sections: (..., n) their bends, rad, and lengths, m: c of `loaded_shape`, and with it the rest lengths.
     load: (...) m at the tip, kg.
     deviation: (..., n + 1) of the strains, rad and m, and of the load, kg, as the last step knew them: the roots of the
-        diagonal of `LoadedShape.covariance`.
+        diagonal of `LoadedShape.covariance`; infinite before the first.
     sag: (..., 2, n_f) of the pieces' strains, by the arm's own weight and by each kg at the tip.
     misfit: (...) how far the sensor that is farthest off was from the shape that the last step began with, over the
         standard deviation, squared.
