@@ -64,9 +64,8 @@ def test_of_a_shape_it_is_the_inverse_of_what_is_known() -> None:
     later, _ = controller(before, seen, target)
     have = estimate_covariance(controller, before, later, seen, NOISE)
     assert have.shape == (7, 7) and later.shape is not None and before.shape is not None
-    # The last is the load's, which the estimator keeps over its first one.
-    first = (0.5 * 0.4) ** 2
-    assert float(have[-1, -1]) == pytest.approx(first * float(later.shape.shape.variance), rel=1e-9)
+    # The estimator keeps the roots of its diagonal; those of the load, which is last, too.
+    torch.testing.assert_close(have.diagonal().sqrt(), later.shape.shape.deviation, rtol=1e-9, atol=0.0)
     assert torch.linalg.eigvalsh(have).min() > 0
     blind = seen._replace(mask=torch.tensor([True, False]))
     assert (estimate_covariance(controller, before, later, blind, NOISE) - have).diagonal().min() > 0
