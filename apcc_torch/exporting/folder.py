@@ -135,6 +135,8 @@ def _words(library: Library, steps: Sequence, features: Features) -> dict[str, s
     command = library.structs["command"]
     step = features.plant_step or PERIOD
     sure = library.structs.get("uncertainty")
+    of_tendons, of_chambers = ("y", "lengths", "tendons"), ("pressure", "pressures", "chambers")
+    wanted, told, actuators = of_tendons if steps.answers[0].pressure is None else of_chambers
     return {
         "name": name,
         "NAME": name.upper(),
@@ -145,9 +147,9 @@ def _words(library: Library, steps: Sequence, features: Features) -> dict[str, s
         "tendons_count": str(steps.answers[0].y.numel()),
         "tolerance": TOLERANCE[library.real],
         "precision": "single" if library.real == torch.float32 else "double",
-        "wanted": "pressure" if steps.answers[0].pressure is not None else "y",
-        "told": "pressures" if steps.answers[0].pressure is not None else "lengths",
-        "actuators": "chambers" if steps.answers[0].pressure is not None else "tendons",
+        "wanted": wanted,
+        "told": told,
+        "actuators": actuators,
         "compared": "\n".join(_compared(command)),
         "compared_uncertainty": "" if sure is None else "\n".join(_compared(sure)),
         "plant_step": repr(step),

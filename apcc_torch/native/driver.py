@@ -7,6 +7,7 @@ from importlib.resources import files
 import torch
 
 from apcc_torch.native.layout import ARRAY, TYPE, counted, places
+from apcc_torch.native.ordering import needed
 from apcc_torch.native.scalars import BOOL, FLOAT, INT
 from apcc_torch.native.trace import Trace
 from apcc_torch.native.values import kind_of
@@ -55,18 +56,9 @@ def driver(trace: Trace, parts: int, calls: list[str], carried: list[tuple[int, 
 
 def _asked(trace: Trace) -> dict[str, set[int]]:
     """The numbers of the inputs on which a result depends, of each kind."""
-    scalars, seen, numbers = trace.scalars, set[int](), {kind: set[int]() for kind in (FLOAT, INT, BOOL)}
-    left = [index for result in trace.results for index in result]
-    while left:
-        index = left.pop()
-        if index in seen:
-            continue
-        seen.add(index)
-        expression = scalars[index]
-        left += expression.operands
-        if expression.op == "input":
+    numbers: dict[str, set[int]] = {kind: set() for kind in (FLOAT, INT, BOOL)}
+    _, counts = needed(trace.scalars, [index for result in trace.results for index in result])
+    for expression, asked in zip(trace.scalars.expressions, counts, strict=True):
+        if asked and expression.op == "input":
             numbers[expression.kind].add(int(expression.value or 0))
-        if index in scalars.entry_of:
-            loop = scalars.loops[scalars.entry_of[index].loop]
-            left += [*loop.initial, *loop.results]
     return numbers

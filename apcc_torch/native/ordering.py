@@ -27,14 +27,19 @@ def ordered(scalars: Scalars, results: list[int]) -> tuple[Block, dict[int, list
     Returns:
         The program, and for each loop which places of its state count.
     """
-    order = _Order(scalars, _needed(scalars, results))
+    order = _Order(scalars, needed(scalars, results)[0])
     block, _ = order.block(results, None)
     return block, {loop: sorted(places) for loop, places in order.needed.items()}
 
 
-def _needed(scalars: Scalars, results: list[int]) -> dict[int, set[int]]:
-    """Of each loop the places of its state that the results depend on, and the one that asks for another round."""
-    needed: dict[int, set[int]] = {}
+def needed(scalars: Scalars, results: list[int]) -> tuple[dict[int, set[int]], bytearray]:
+    """What the results depend on.
+
+    Returns:
+        Of each loop the places of its state that count, the one that asks for another round among them; and of each
+        expression whether it does.
+    """
+    places: dict[int, set[int]] = {}
     seen = bytearray(len(scalars.expressions))
     stack = list(results)
     while stack:
@@ -47,15 +52,15 @@ def _needed(scalars: Scalars, results: list[int]) -> dict[int, set[int]]:
         if entry is None:
             continue
         loop = scalars.loops[entry.loop]
-        if entry.loop not in needed:
+        if entry.loop not in places:
             assert loop.going is not None
-            needed[entry.loop] = set()
+            places[entry.loop] = set()
             stack.append(loop.variables[loop.going])
-        if entry.place not in needed[entry.loop]:
-            needed[entry.loop].add(entry.place)
+        if entry.place not in places[entry.loop]:
+            places[entry.loop].add(entry.place)
             # Marked by hand, not by its index: variable and outcome are two expressions of one place.
             stack += [loop.initial[entry.place], loop.results[entry.place]]
-    return needed
+    return places, seen
 
 
 class _Order:
