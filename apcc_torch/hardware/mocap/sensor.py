@@ -75,6 +75,7 @@ class MocapSensor(PoseSensor):
         self._ids: dict[str, int] | None = None
         self._refusal: str | None = None  # why this server cannot be used
         self._sample: MocapSample | None = None
+        self._base = self._tracker.base  # of the kept sample
         self._last_frame = time.monotonic()  # the arrival of the last new frame
         self._last_answer = self._last_frame  # the arrival of the last names
         self._next_request = 0.0
@@ -170,7 +171,7 @@ class MocapSensor(PoseSensor):
     @property
     def base(self) -> Array | None:
         """The arm's base frame in the cameras' z-up world, m, (4, 4), read-only; None where it is not known."""
-        return self._tracker.base
+        return self._base
 
     def counts(self) -> Counts:
         """What has been counted since connecting."""
@@ -193,7 +194,7 @@ class MocapSensor(PoseSensor):
     def _wait_for_base(self) -> None:
         with self._changed:
             done = self._changed.wait_for(
-                lambda: self._tracker.base is not None or self._refusal is not None, self.settings.connect_timeout
+                lambda: self._base is not None or self._refusal is not None, self.settings.connect_timeout
             )
         self._check_refusal()
         if done:
@@ -256,7 +257,8 @@ class MocapSensor(PoseSensor):
         if sample is None:
             return
         with self._changed:
-            self._sample, self._last_frame = sample, arrival
+            # Together: who has waited for the base must not be handed a sample from before it.
+            self._sample, self._base, self._last_frame = sample, self._tracker.base, arrival
             self._changed.notify_all()
 
     def _lose(self, why: str) -> None:

@@ -13,6 +13,7 @@ import pytest
 
 from apcc_torch.errors import CommunicationError, HardwareError, ShapeError, ValueRangeError
 from apcc_torch.hardware.mocap.gate import Reason
+from apcc_torch.hardware.mocap.tracker import MocapSample, Tracker
 from apcc_torch.hardware.optitrack.sensor import OptiTrackSensor
 from hardware.emulators.mocap_server import standing
 from hardware.emulators.natnet_layout import VERSIONS, Version
@@ -172,6 +173,24 @@ def test_a_stream_that_stops_ends_the_source_and_a_restart_brings_it_back(server
         server.fault()
         assert eventually(lambda: sensor.wait(0.1, after=old.sequence) is not None)
         assert eventually(lambda: next_sample(sensor).valid.all())
+
+
+def test_the_sample_after_connecting_is_of_the_measured_base(
+    server: NatNetServer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made, sensor = Tracker._sample, sensor_for(server)
+
+    def slow(tracker: Tracker, *given: object) -> MocapSample:
+        # Who waits for the base wakes up between its measurement and the first sample that uses it.
+        with sensor._changed:
+            sensor._changed.notify_all()
+        time.sleep(0.02)
+        return made(tracker, *given)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(Tracker, "_sample", slow)
+    with sensor:
+        sample = sensor.latest()
+        assert sample is not None and sample.base_reason is Reason.OK and sample.valid.all()
 
 
 def test_a_server_that_starts_again_with_other_numbers_is_asked_anew(server: NatNetServer) -> None:
