@@ -146,8 +146,8 @@ class Library:
 
     def _function(self, each: Compiled) -> str:
         inner = f"of_{each.function.name}"
-        numbers = self._listed(each.body.numbers or [0.0])
-        table = f"const REAL numbers[{max(1, len(each.body.numbers))}] = {{{numbers}}};"
+        numbers = [each.trace.scalars.number(index) for index in each.body.numbers] or [0.0]
+        table = f"const REAL numbers[{len(numbers)}] = {{{self._listed(numbers)}}};"
         now = each.function.stamp.replace(".", "->") if self.real == torch.float32 else ""
         lines = [
             f"namespace {{\nnamespace {inner} {{",

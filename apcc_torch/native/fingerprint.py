@@ -1,4 +1,4 @@
-"""What a compiled function depends on, as one number: its settings, its code and torch's version."""
+"""What a compiled function depends on, as one name: its settings, its code and torch's version."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from enum import Enum
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor, nn
@@ -17,19 +17,40 @@ from apcc_torch.errors import CompileError
 from apcc_torch.part import row_tensors
 
 _PACKAGE = Path(__file__).resolve().parent.parent
-# Where the code of steps is; of a class from elsewhere its own file counts.
+# Where the code of steps is, beside the modules of the package itself; of a class from elsewhere its own file counts.
 _FOLDERS = ("control", "envs", "estimation", "lie", "model", "native", "simulation")
-_CORE = ("*.py", *(f"{folder}/**/*.[ph]*" for folder in _FOLDERS))
 # Their text says what they are.
 _PLAIN = (bool, int, float, complex, str, bytes, slice, range, Enum, torch.dtype, torch.device, torch.Size)
 # What nn.Module keeps for itself, none of which changes what `forward` computes.
 _BOOKKEEPING = frozenset(vars(nn.Module())) - {"_parameters", "_buffers", "_modules", "training"}
 
 
+class Fingerprint(NamedTuple):
+    """A module as it is.
+
+    name: 32 hexadecimal digits. Modules have the same where they differ in the values of `held` alone, and there not in
+        which of these are zero.
+    held: The tensors of floating-point numbers that it holds, each once.
+    """
+
+    name: str
+    held: list[Tensor]
+
+    def exact(self) -> str:
+        """A name that the values of `held` have a part in."""
+        digest = hashlib.sha256(self.name.encode())
+        for tensor in self.held:
+            digest.update(_bytes(tensor))
+        return digest.hexdigest()[:32]
+
+
 @cache
-def _package_code() -> bytes:
-    digest = hashlib.sha256(torch.__version__.encode())
-    for path in sorted({path for pattern in _CORE for path in _PACKAGE.glob(pattern)}):
+def code(*folders: str) -> bytes:
+    """A digest of the source in these folders of the package; without any, of all that steps are made of."""
+    patterns = [f"{folder}/**/*.[ph]*" for folder in folders or _FOLDERS]
+    patterns += [] if folders else ["*.py"]
+    digest = hashlib.sha256()
+    for path in sorted({path for pattern in patterns for path in _PACKAGE.glob(pattern)}):
         if path.suffix in (".py", ".hpp"):
             digest.update(path.read_bytes())
     return digest.digest()
@@ -45,50 +66,88 @@ def _code_of(made: Any) -> bytes:
         return repr(sorted(vars(made))).encode()
 
 
-def fingerprint(module: nn.Module, *more: str) -> str:
-    """A name (32 hexadecimal digits) for a module as it is: the same settings and code give the same name.
+def fingerprint(module: nn.Module, *more: str) -> Fingerprint:
+    """A module as it is: the same settings, forms and code give the same name.
 
     Of tensors that differ from row to row only the form of one row counts.
 
     Raises:
         CompileError: The module holds something whose value cannot be told.
     """
-    digest = hashlib.sha256(_package_code())
-    for text in more:
+    digest = hashlib.sha256(code())
+    for text in (torch.__version__, str(torch.get_default_dtype()), *more):
         digest.update(text.encode())
-    per_row = {id(tensor): trailing for tensor, trailing in row_tensors(module).values()}
-    _add(digest, module, type(module).__name__, per_row)
-    return digest.hexdigest()[:32]
+    walk = _Walk(digest, {id(tensor): trailing for tensor, trailing in row_tensors(module).values()})
+    walk.add(module, type(module).__name__)
+    return Fingerprint(digest.hexdigest()[:32], walk.held)
 
 
-def _add(digest: Any, item: Any, where: str, per_row: dict[int, int]) -> None:
-    digest.update(f"{where}:{type(item).__qualname__};".encode())
-    if id(item) in per_row:
-        digest.update(f"rows of {item.dtype}{tuple(item.shape[item.dim() - per_row[id(item)] :])}".encode())
-    elif isinstance(item, Tensor):
-        digest.update(f"{item.dtype}{tuple(item.shape)}".encode())
-        # A copy: of a single entry any stride counts as contiguous, and bytes are seen only of one.
-        plain = torch.empty(item.numel(), dtype=item.dtype).copy_(item.detach().flatten())
-        digest.update(plain.view(torch.uint8).numpy().tobytes())
-    elif item is None or isinstance(item, _PLAIN):
-        digest.update(repr(item).encode())
-    elif isinstance(item, (list, tuple)):
-        for k, part in enumerate(item):
-            _add(digest, part, f"{where}[{k}]", per_row)
-    elif isinstance(item, (set, frozenset)):
-        digest.update(repr(sorted(map(repr, item))).encode())
-    elif isinstance(item, Mapping):
-        for name, part in item.items():
-            _add(digest, part, f"{where}.{name}", per_row)
-    elif inspect.isfunction(item):
-        digest.update(_code_of(item) + f"{item.__module__}.{item.__qualname__}".encode())
-    elif isinstance(item, type) or (callable(item) and not hasattr(item, "__dict__")):
-        digest.update(f"{item.__module__}.{item.__qualname__}".encode())
-    elif hasattr(item, "__dict__"):
-        digest.update(_code_of(type(item)))
-        skipped = _BOOKKEEPING if isinstance(item, nn.Module) else ()
-        for name, part in vars(item).items():
-            if name not in skipped:
-                _add(digest, part, f"{where}.{name}", per_row)
-    else:
-        raise CompileError(f"{where} is a {type(item).__name__}, whose value cannot be told for the compiler's cache")
+class _Walk:
+    """Goes through what a module holds, and notes what its code depends on."""
+
+    def __init__(self, digest: Any, per_row: dict[int, int]) -> None:
+        self.held: list[Tensor] = []
+        self._digest = digest
+        self._per_row = per_row
+        self._met: dict[int, tuple[int, Any]] = {}  # the items too: what is gone leaves its id to others
+
+    def _note(self, text: str) -> None:
+        self._digest.update(text.encode())
+
+    def add(self, item: Any, where: str) -> None:
+        """Notes an item and what it holds."""
+        self._note(f"{where}:{type(item).__qualname__};")
+        if item is None or isinstance(item, _PLAIN):
+            self._note(repr(item))
+        elif isinstance(item, (list, tuple)):
+            for k, part in enumerate(item):
+                self.add(part, f"{where}[{k}]")
+        elif isinstance(item, (set, frozenset)):
+            self._note(repr(sorted(map(repr, item))))
+        elif isinstance(item, Mapping):
+            for name, part in item.items():
+                self.add(part, f"{where}.{name}")
+        elif id(item) in self._met:
+            self._note(f"number {self._met[id(item)][0]}")
+        else:
+            self._met[id(item)] = len(self._met), item
+            self._once(item, where)
+
+    def _once(self, item: Any, where: str) -> None:
+        """Notes what is here for the first time."""
+        if isinstance(item, Tensor):
+            self._tensor(item)
+        elif inspect.isfunction(item):
+            self._digest.update(_code_of(item))
+            self._note(f"{item.__module__}.{item.__qualname__}")
+        elif isinstance(item, type) or (callable(item) and not hasattr(item, "__dict__")):
+            self._note(f"{item.__module__}.{item.__qualname__}")
+        elif hasattr(item, "__dict__"):
+            self._digest.update(_code_of(type(item)))
+            skipped = _BOOKKEEPING if isinstance(item, nn.Module) else ()
+            for name, part in vars(item).items():
+                if name not in skipped:
+                    self.add(part, f"{where}.{name}")
+        else:
+            raise CompileError(
+                f"{where} is a {type(item).__name__}, whose value cannot be told for the compiler's cache"
+            )
+
+    def _tensor(self, item: Tensor) -> None:
+        if id(item) in self._per_row:
+            self._note(f"rows of {item.dtype}{tuple(item.shape[item.dim() - self._per_row[id(item)] :])}")
+            return
+        self._note(f"{item.dtype}{tuple(item.shape)}")
+        if item.is_floating_point():
+            self.held.append(item)
+            # Zeros shape the program: each entry's sign where it is one, else 1.
+            values = item.detach()
+            self._digest.update(_bytes(torch.where(values == 0, values.signbit().byte(), 2)))
+        else:
+            self._digest.update(_bytes(item))
+
+
+def _bytes(tensor: Tensor) -> bytes:
+    # A copy: of a single entry any stride counts as contiguous, and bytes are seen only of one.
+    plain = torch.empty(tensor.numel(), dtype=tensor.dtype).copy_(tensor.detach().flatten())
+    return plain.view(torch.uint8).numpy().tobytes()

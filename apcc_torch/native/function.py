@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import ctypes
-import os
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
 import torch
@@ -13,10 +13,10 @@ from torch.func import functional_call
 
 from apcc_torch.errors import CompileError, DtypeError, ShapeError, ValueRangeError
 from apcc_torch.native.build import compiler, widest_vector
-from apcc_torch.native.fingerprint import fingerprint
+from apcc_torch.native.fingerprint import Fingerprint, fingerprint
 from apcc_torch.native.kept_program import Program, kept_program
 from apcc_torch.native.methods import module_of
-from apcc_torch.native.source import Source, program
+from apcc_torch.native.source import Plan
 from apcc_torch.native.structure import any_double, described, flattened, rebuilt
 from apcc_torch.native.trace import Leaf, Trace, traced
 from apcc_torch.part import row_tensors
@@ -148,7 +148,7 @@ class NativeFunction:
         self._widest = widest_vector(compiler()) // self._dtype.itemsize
         self._programs: dict[int, Program] = {}
         self._forms: dict[tuple[tuple[torch.Size, torch.dtype], ...], _Form] = {}
-        self._trace: Trace | None = None
+        self._traces: dict[str, Trace] = {}  # by the module's exact name: what it holds may have been changed
 
     def _pairs(self, given: Any) -> list[tuple[int, int]]:
         first = self._like[0] if type(self._like) is tuple else self._like
@@ -165,15 +165,17 @@ class NativeFunction:
         """
         if lanes not in self._programs:
             form = described(self.example), str(self._carried), f"{lanes} lanes of {self._dtype}"
-            name = fingerprint(self.module, *form)
-            self._programs[lanes] = kept_program(name, self._dtype, lambda: self._source(lanes), self._named)
+            told = fingerprint(self.module, *form)
+            planned = partial(self._plan, lanes, told)
+            self._programs[lanes] = kept_program(told, self._dtype, planned, self._named)
         return self._programs[lanes]
 
-    def _source(self, lanes: int) -> Source:
-        if self._trace is None:
+    def _plan(self, lanes: int, told: Fingerprint) -> Plan:
+        now = told.exact()
+        if now not in self._traces:
             with torch.inference_mode(False):
-                self._trace = traced(self.traced, self.example)
-        return program(self._trace, lanes, self._dtype, self._carried, os.cpu_count() or 1)
+                self._traces = {now: traced(self.traced, self.example, told.held)}
+        return Plan(self._traces[now], lanes, self._dtype, self._carried)
 
     def lanes(self, rows: int) -> int:
         """How many rows are worked on at once in a batch of `rows`."""

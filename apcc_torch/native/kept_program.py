@@ -1,18 +1,22 @@
-"""Programs that are kept: a library for each structure, and for each module the numbers that it puts into one."""
+"""Programs that are kept: a library for each structure, and how the numbers of a module that it reads are found."""
 
 from __future__ import annotations
 
 import ctypes
 import json
+import os
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any, NamedTuple, Self
 
 import torch
 
 from apcc_torch.files import cache_folder
 from apcc_torch.native.build import built, kept_name
+from apcc_torch.native.fingerprint import Fingerprint
 from apcc_torch.native.library import alone, keep, kept, loaded
-from apcc_torch.native.source import Source
+from apcc_torch.native.program_numbers import ProgramNumbers
+from apcc_torch.native.source import Plan
 from apcc_torch.plain_text import plain_logger
 
 log = plain_logger(__name__)
@@ -34,34 +38,57 @@ class Program(NamedTuple):
         return cls(library, (made * max(1, len(numbers)))(*numbers))
 
 
-def kept_program(name: str, dtype: torch.dtype, write: Callable[[], Source], what: str) -> Program:
-    """The program of this name; written and built where it is not kept, or damaged.
+def kept_program(told: Fingerprint, dtype: torch.dtype, planned: Callable[[], Plan], what: str) -> Program:
+    """A module's program; planned where it is not known, and built where it is not kept, or damaged.
 
-    A program whose text was built before, with other numbers, is not built again.
+    What was planned for a module is taken for another that differs in the values of its tensors alone, as far as these
+    do not decide the program's form.
 
     Args:
-        name: From `fingerprint`.
+        told: The module.
         dtype: What it computes in, float64 or float32.
-        write: Makes its source.
+        planned: Traces it.
         what: Whose it is, for the log.
 
     Raises:
-        CompileError: It cannot be written, built, kept or loaded.
+        CompileError: It cannot be traced, built, kept or loaded.
     """
-    record, damaged = kept(kept_name(name, "json")), ""
-    if record is not None:
-        told = json.loads(record.read_text(encoding="ascii"))
-        library = kept(told["library"])
+    names, damaged = [told.name, told.exact()], ""
+    for name in list(names):
+        record = kept(kept_name(name, "json"))
+        if record is None:
+            continue
+        known = json.loads(record.read_text(encoding="ascii"))
+        numbers = ProgramNumbers(**known["numbers"]).values(told.held)
+        if numbers is None:
+            names.remove(name)  # that of another module, which keeps it
+            continue
+        library = kept(known["library"])
         if library is not None:
-            return Program.of(loaded(library), told["numbers"], dtype)
-        damaged = told["library"]
-    source = write()
-    file = kept_name(source.name(), "so")
+            return Program.of(loaded(library), numbers, dtype)
+        damaged = known["library"]
+    plan = planned()
+    library, asked = _built(plan, damaged, what)
+    program = Program.of(loaded(library), [plan.trace.scalars.number(index) for index in asked], dtype)
+    general = told.name in names
+    found = ProgramNumbers.of(plan.trace.scalars, asked) if general else ProgramNumbers.plain(list(program.numbers))
+    with alone():
+        content = json.dumps({"library": library.name, "numbers": found._asdict()}).encode("ascii")
+        keep(content, kept_name(told.name if general else told.exact(), "json"))
+    return program
+
+
+def _built(plan: Plan, damaged: str, what: str) -> tuple[Path, list[int]]:
+    """The library of a plan, and the expressions whose numbers it reads; built where it is not kept, or damaged."""
+    name = plan.name()
+    file, table = kept_name(name, "so"), kept_name(name, "numbers")
     with alone():  # a sweep's workers ask for the same code at the same time
         library = None if file == damaged else kept(file)
-        if library is None:
-            log.info("building machine code for %s, once; it is kept in %s", what, cache_folder())
-            library = built(source, file)
-    entry = loaded(library)
-    keep(json.dumps({"library": file, "numbers": source.numbers}).encode("ascii"), kept_name(name, "json"))
-    return Program.of(entry, source.numbers, dtype)
+        listed = None if library is None else kept(table)
+        if library is not None and listed is not None:
+            return library, json.loads(listed.read_text(encoding="ascii"))
+        log.info("building machine code for %s, once; it is kept in %s", what, cache_folder())
+        source = plan.source(os.cpu_count() or 1)
+        library = built(source, file)
+        keep(json.dumps(source.numbers).encode("ascii"), table)
+    return library, source.numbers

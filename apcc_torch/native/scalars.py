@@ -5,18 +5,17 @@ dropped as expressions are made, so what a tensor of zeros multiplies costs noth
 IEEE's: zero times anything is zero, and what is not finite does not spread through a product with a constant zero.
 
 What a function holds is known as well, and so is what follows from it alone. But only its zeros shape the
-expressions; other values stay apart by where they come from, so functions that differ in these alone look alike.
+expressions; other values stay apart by where they come from, so functions that differ in these alone look alike. A
+difference that is zero to rounding is no zero: in the next arm it may not be.
 """
 
 from __future__ import annotations
 
-import math
-import operator
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-Constant = float | int | bool
+from apcc_torch.native.folding import FOLDED, LOOSE, Constant, folded
 
 # Kinds of expression: a floating-point number, an integer, a truth value.
 FLOAT, INT, BOOL = "f", "i", "b"
@@ -35,6 +34,13 @@ class Expression(NamedTuple):
     operands: tuple[int, ...]
     kind: str
     value: Constant | None = None
+
+
+class Held(NamedTuple):
+    """An entry of one of the tensors that a function is known to hold, by their numbers."""
+
+    tensor: int
+    entry: int
 
 
 class Entry(NamedTuple):
@@ -63,46 +69,6 @@ class Loop:
     going: int | None = None
 
 
-def _shapes(value: float) -> bool:
-    return value == 0.0
-
-
-def _divided(a: float, b: float) -> float:
-    if b != 0.0:
-        return a / b
-    return math.nan if a == 0.0 or math.isnan(a) else math.copysign(math.inf, a) * math.copysign(1.0, b)
-
-
-def _root(a: float) -> float:
-    return math.sqrt(a) if a >= 0.0 else math.nan
-
-
-# Operations whose constants are folded here; the others always stay operations.
-_FOLDED: dict[str, Callable[..., Constant]] = {
-    "add": operator.add,
-    "sub": operator.sub,
-    "mul": operator.mul,
-    "div": _divided,
-    "neg": operator.neg,
-    "abs": abs,
-    "sqrt": _root,
-    "sin": math.sin,
-    "cos": math.cos,
-    "floor": math.floor,
-    # As lanes.hpp has them: what is not a number stays so.
-    "max": lambda a, b: a if a > b or a != a else b,
-    "min": lambda a, b: a if a < b or a != a else b,
-    "lt": operator.lt,
-    "le": operator.le,
-    "eq": operator.eq,
-    "ne": operator.ne,
-    "and": lambda a, b: a and b,
-    "or": lambda a, b: a or b,
-    "not": operator.not_,
-    "float": float,
-    "int": int,
-    "isfinite": math.isfinite,
-}
 COMMUTATIVE = frozenset({"add", "mul", "eq", "ne", "and", "or"})
 _TRUTH = frozenset({"lt", "le", "eq", "ne", "and", "or", "not", "isfinite"})
 
@@ -114,6 +80,12 @@ class Scalars:
         self.expressions: list[Expression] = []
         self.loops: list[Loop] = []
         self.entry_of: dict[int, Entry] = {}
+        self.held_at: dict[int, Held] = {}
+        self.decided: dict[tuple[str, tuple[int, ...]], Constant | None] = {}
+        """What the form of the expressions was decided by: operations on held numbers that came to a constant, and to
+        None where they had to be left to the machine."""
+        self.loose: dict[int, float] = {}
+        """By how much known numbers may be off in another arm of the same form; those that are not here, by nothing."""
         self._known: dict[tuple[str, tuple[int, ...], str, str, str], int] = {}
 
     def __getitem__(self, index: int) -> Expression:
@@ -135,9 +107,21 @@ class Scalars:
         made = {FLOAT: float, INT: int, BOOL: bool}[kind](value)
         return self._add("constant", (), kind, made)
 
-    def held(self, value: float, origin: str) -> int:
-        """A number that the function holds, told from others by where it comes from; zeros are constants."""
-        return self.constant(value, FLOAT) if _shapes(value) else self._add("held", (), FLOAT, value, origin)
+    def held(self, value: float, origin: str, at: Held | None = None) -> int:
+        """A number that the function holds, told from others by where it comes from; zeros are constants.
+
+        Args:
+            value: The number.
+            origin: Where it comes from.
+            at: The same, where it is of a tensor that the function is known to hold.
+        """
+        if value == 0.0:
+            return self.constant(value, FLOAT)
+        index = self._add("held", (), FLOAT, value, origin)
+        self.loose[index] = LOOSE * abs(value)
+        if at is not None:
+            self.held_at[index] = at
+        return index
 
     def input(self, number: int, kind: str) -> int:
         """The input of this number among those of its kind."""
@@ -154,18 +138,25 @@ class Scalars:
         result = self.expressions[index]
         return None if result.op == "input" else result.value
 
+    def number(self, index: int) -> float:
+        """The number that a program reads for an expression whose value is known."""
+        return float(self.known(index) or 0.0)
+
     def make(self, op: str, *operands: int) -> int:
         """The expression `op` of the operands, simplified."""
         values = [self.known(i) for i in operands]
         kind = BOOL if op in _TRUTH else FLOAT if op == "float" else INT if op == "int" else self[operands[-1]].kind
-        if op in _FOLDED and None not in values:
-            try:
-                value = _FOLDED[op](*values)
-            except (OverflowError, ValueError):  # sin of infinity, int of NaN: left to the machine
-                return self._add(op, operands, kind)
-            if kind != FLOAT or _shapes(value) or all(self[i].op == "constant" for i in operands):
-                return self.constant(value, kind)
-            return self._add(op, operands, kind, float(value))
+        if op in FOLDED and None not in values:
+            plain = all(self[i].op == "constant" for i in operands)
+            value, loose = folded(op, values, [self.loose.get(i, 0.0) for i in operands])
+            if value is not None and not plain and kind == FLOAT and not (value == 0.0 and loose == 0.0):
+                index = self._add(op, operands, kind, float(value))
+                self.loose[index] = loose
+                return index
+            index = self._add(op, operands, kind) if value is None else self.constant(value, kind)
+            if not plain:
+                self.decided[op, operands] = self[index].value
+            return index
         shaping = [self[i].value if self[i].op == "constant" else None for i in operands]
         simpler = self._simplified(op, operands, shaping)
         if simpler is not None:

@@ -5,11 +5,14 @@ from __future__ import annotations
 import hashlib
 from dataclasses import dataclass
 from importlib.resources import files
+from typing import NamedTuple
 
 import torch
 
 from apcc_torch.native.driver import driver
-from apcc_torch.native.statements import body
+from apcc_torch.native.fingerprint import code
+from apcc_torch.native.scalars import Expression
+from apcc_torch.native.statements import body, is_form
 from apcc_torch.native.trace import Trace
 
 _THREADS = "".join(f"#include <{name}>\n" for name in ("atomic", "chrono", "thread", "vector"))
@@ -22,17 +25,14 @@ class Source:
     header: Common to all.
     parts: Bodies, each with the header before it.
     lanes: Rows that it works on at once.
-    numbers: What it reads in place of constants, so modules that differ in these alone share a library.
+    numbers: The expressions whose values it reads in place of constants, so modules that differ in these alone share a
+        library.
     """
 
     header: str
     parts: list[str]
     lanes: int
-    numbers: list[float]
-
-    def name(self) -> str:
-        """What tells its text from others (32 hexadecimal digits); the numbers have no part in it."""
-        return hashlib.sha256("\0".join((self.header, *self.parts)).encode()).hexdigest()[:32]
+    numbers: list[int]
 
 
 def prologue(lanes: int, dtype: torch.dtype) -> str:
@@ -45,25 +45,51 @@ def prologue(lanes: int, dtype: torch.dtype) -> str:
     return f"{_settings(lanes, dtype)}\n{files(__package__).joinpath('lanes.hpp').read_text()}"
 
 
-def program(trace: Trace, lanes: int, dtype: torch.dtype, carried: list[tuple[int, int]], files_wanted: int) -> Source:
-    """The program of a trace.
+class Plan(NamedTuple):
+    """A program before it is written: all that its text follows from.
 
-    Args:
-        trace: From `traced`.
-        lanes: Rows at once; 1 for plain numbers.
-        dtype: What it computes in, float64 or float32.
-        carried: Pairs (output, input): what a repetition hands to the next.
-        files_wanted: How many files the parts are spread over.
+    trace: From `traced`.
+    lanes: Rows at once; 1 for plain numbers.
+    dtype: What it computes in, float64 or float32.
+    carried: Pairs (output, input): what a repetition hands to the next.
     """
-    # Lanes have enough to do, and are worth the room.
-    made = body(trace, together=lanes == 1)
-    # Before the settings, whose names a header may use as well.
-    header = f"{_THREADS}{prologue(lanes, dtype)}\n{made.structs}"
-    groups: list[list[str]] = [[] for _ in range(max(1, min(files_wanted, len(made.functions))))]
-    for k, text in enumerate(made.functions):
-        groups[k % len(groups)].append(text)
-    groups[0].append(driver(trace, len(made.functions), made.calls, carried))
-    return Source(header, ["\n".join(group) for group in groups], lanes, made.numbers)
+
+    trace: Trace
+    lanes: int
+    dtype: torch.dtype
+    carried: list[tuple[int, int]]
+
+    def name(self) -> str:
+        """What tells its text from others (32 hexadecimal digits); the numbers have no part in it."""
+        trace, scalars = self.trace, self.trace.scalars
+        digest = hashlib.sha256(code("native"))
+        for told in (
+            (self.lanes, self.dtype, self.carried, trace.inputs, trace.outputs, trace.results, scalars.entry_of),
+            scalars.loops,
+            [(call.first, call.last, call.result.tolist()) for call in trace.calls],
+            [(*expression[:3], _told(expression)) for expression in scalars.expressions],
+        ):
+            digest.update(repr(told).encode())
+        return digest.hexdigest()[:32]
+
+    def source(self, files_wanted: int) -> Source:
+        """Its text, spread over so many files at most."""
+        # Lanes have enough to do, and are worth the room.
+        made = body(self.trace, together=self.lanes == 1)
+        # Before the settings, whose names a header may use as well.
+        header = f"{_THREADS}{prologue(self.lanes, self.dtype)}\n{made.structs}"
+        groups: list[list[str]] = [[] for _ in range(max(1, min(files_wanted, len(made.functions))))]
+        for k, text in enumerate(made.functions):
+            groups[k % len(groups)].append(text)
+        groups[0].append(driver(self.trace, len(made.functions), made.calls, self.carried))
+        return Source(header, ["\n".join(group) for group in groups], self.lanes, made.numbers)
+
+
+def _told(expression: Expression) -> str:
+    """What the text tells of a value: itself, that it is known, or nothing."""
+    if expression.op == "input" or (expression.op == "constant" and is_form(expression)):
+        return repr(expression.value)
+    return "" if expression.value is None else "known"
 
 
 def _settings(lanes: int, dtype: torch.dtype) -> str:

@@ -33,13 +33,13 @@ class Body:
     structs: The types Inputs, Scratch and Outputs, and the functions' declarations.
     functions: Each its share of the statements.
     calls: What runs them, with `in`, `numbers`, `s` and `out` at hand.
-    numbers: What they read in place of constants.
+    numbers: The expressions whose values they read in place of constants.
     """
 
     structs: str
     functions: list[str]
     calls: list[str]
-    numbers: list[float]
+    numbers: list[int]
 
 
 def body(trace: Trace, together: bool = True) -> Body:
@@ -63,7 +63,7 @@ class _Writer:
         self.slots = slots(layout, trace)
         self.scalars = trace.scalars
         self.expressions = trace.scalars.expressions
-        self.numbers: list[float] = []
+        self.numbers: list[int] = []
         self._named = {index: f"t{k}" for k, index in enumerate(layout.part_of)}
         self._number_of: dict[int, int] = {}
         self.tables: dict[Places, int] = {}
@@ -219,7 +219,7 @@ class _Writer:
         expression = self.expressions[index]
         if expression.op == "input":
             return f"in.{ARRAY[expression.kind]}[{expression.value}]"
-        if expression.op == "constant" and _is_form(expression):
+        if expression.op == "constant" and is_form(expression):
             return _literal(expression)
         if expression.value is not None:
             return self._number(index)
@@ -231,14 +231,14 @@ class _Writer:
     def _number(self, index: int) -> str:
         if index not in self._number_of:
             self._number_of[index] = len(self.numbers)
-            self.numbers.append(float(self.expressions[index].value or 0.0))
+            self.numbers.append(index)
         return f"k[{self._number_of[index]}]"
 
     def _numbers(self, places: Places) -> int:
         """Where the numbers of a row begin."""
         if places not in self._row_of:
             self._row_of[places] = len(self.numbers)
-            self.numbers += [float(self.expressions[index].value or 0.0) for index in places]
+            self.numbers += places
         return self._row_of[places]
 
     def _splatted(self, index: int, part: Part) -> str:
@@ -248,7 +248,7 @@ class _Writer:
         return f"{_SPLAT[expression.kind]}({name})" if plain else name
 
 
-def _is_form(expression: Expression) -> bool:
+def is_form(expression: Expression) -> bool:
     """Whether a constant belongs to the formula, as halves and small integers do, and is no setting."""
     value = expression.value
     return (

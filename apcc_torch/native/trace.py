@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
-from torch.overrides import TorchFunctionMode
 from torch.utils._python_dispatch import TorchDispatchMode
 
 from apcc_torch.errors import CompileError
@@ -17,7 +16,9 @@ from apcc_torch.native.loops import looped
 from apcc_torch.native.operators import MOVES, OPERATORS
 from apcc_torch.native.scalars import BOOL, FLOAT, INT, Scalars
 from apcc_torch.native.structure import flattened, rebuilt
+from apcc_torch.native.symbol import Symbol, at_example, symbol
 from apcc_torch.native.values import Arithmetic, Value, kind_of
+from apcc_torch.native.whole import UNKNOWN, Whole
 from apcc_torch.repetition import recorded_by
 
 Function = Callable[..., Any]
@@ -27,14 +28,6 @@ _PLACEMENT = frozenset({"dtype", "layout", "device", "pin_memory", "memory_forma
 # Torch chooses these by how the tensor at the example lies, and the entries lie alike.
 _VIEWS = ("aten.view", "aten._unsafe_view")
 _FLAGS = ("_is_compiling_flag", "_is_exporting_flag")
-_WHOLE: dict[Any, str] = {
-    torch.isfinite: "aten.isfinite",
-    Tensor.isfinite: "aten.isfinite",
-    torch.linalg.solve_ex: "aten.linalg_solve_ex",
-    torch.matmul: "aten.matmul",
-    Tensor.matmul: "aten.matmul",
-    Tensor.__matmul__: "aten.matmul",
-}
 
 
 class Leaf(NamedTuple):
@@ -60,23 +53,24 @@ class Trace(NamedTuple):
     calls: list[Call]
 
 
-def traced(function: Function, example: tuple[Any, ...]) -> Trace:
+def traced(function: Function, example: tuple[Any, ...], held: Sequence[Tensor] = ()) -> Trace:
     """Traces `function` at one row of arguments; what it holds is taken as constant.
 
     Args:
         function: Of (nested) tensors, without branches on their values.
         example: One row of arguments, without batch dimensions.
+        held: Tensors that the function holds; `Scalars.held_at` has their numbers in this order.
 
     Raises:
         CompileError: It cannot be traced, or uses an operation that is not in the table.
     """
-    recorder = Recorder()
+    recorder = Recorder(held)
     # Each argument a tensor of its own: two that are one tensor here may be two at a call.
     given = [leaf.detach().clone() for leaf in flattened(example)]
     inputs = [Leaf(tuple(leaf.shape), leaf.dtype) for leaf in given]
     symbols = recorder.inputs(given)
     try:
-        with torch.no_grad(), _compiling(), _Whole(recorder), recorder, recorded_by(recorder.repeated):
+        with torch.no_grad(), _compiling(), Whole(recorder), recorder, recorded_by(recorder.repeated):
             returned = function(*rebuilt(example, iter(symbols)))
     except CompileError:
         raise
@@ -101,46 +95,23 @@ def _compiling() -> Iterator[None]:
             setattr(torch.compiler, name, before)
 
 
-class _Symbol(Tensor):
-    """A tensor of expressions: it has a form, but no values that could be read or branched on.
+class Recorder(TorchDispatchMode):
+    """Runs each of torch's operations on scalar expressions too.
 
-    value: Its expressions.
-    row: The tensor at the example, which tells torch's forms.
+    held: See `traced`.
     """
 
-    value: Value
-    row: Tensor
-    __torch_function__ = torch._C._disabled_torch_function_impl  # type: ignore[assignment]
-
-    @classmethod
-    def __torch_dispatch__(  # type: ignore[override]
-        cls, func: Any, types: Any, args: Any = (), kwargs: Any = None
-    ) -> Any:
-        raise RuntimeError(f"{func} met a tensor of a trace that has ended")
-
-
-def _symbol(value: Value, row: Tensor) -> _Symbol:
-    strides = row.stride()
-    if value.entries.stride() != strides:
-        # Laid out alike, what is a view of the one is a view of the other: what is written into it, is in both.
-        value = Value(torch.empty_strided(row.shape, strides, dtype=torch.int64).copy_(value.entries), value.dtype)
-    made: _Symbol = Tensor._make_wrapper_subclass(_Symbol, row.shape, strides=strides, dtype=row.dtype)
-    made.value, made.row = value, row
-    return made
-
-
-class Recorder(TorchDispatchMode):
-    """Runs each of torch's operations on scalar expressions too."""
-
-    def __init__(self) -> None:
+    def __init__(self, held: Sequence[Tensor] = ()) -> None:
         super().__init__()
         self.arithmetic = Arithmetic()
         self.calls: list[Call] = []
+        self._numbers = {id(tensor): number for number, tensor in enumerate(held)}
+        self._memory = {tensor.untyped_storage().data_ptr() for tensor in held if tensor.numel()}
         self._held: dict[int, tuple[Tensor, Value]] = {}
         self._inside = False
         self._loops: list[int] = []
 
-    def inputs(self, given: list[Tensor]) -> list[_Symbol]:
+    def inputs(self, given: list[Tensor]) -> list[Symbol]:
         """Symbols of the arguments."""
         symbols, counts = [], {FLOAT: 0, INT: 0, BOOL: 0}
         for leaf in given:
@@ -148,7 +119,7 @@ class Recorder(TorchDispatchMode):
             first, counts[kind] = counts[kind], counts[kind] + leaf.numel()
             flat = [self.arithmetic.scalars.input(k, kind) for k in range(first, counts[kind])]
             entries = torch.tensor(flat, dtype=torch.int64).reshape(leaf.shape)
-            symbols.append(_symbol(Value(entries, leaf.dtype), leaf))
+            symbols.append(symbol(Value(entries, leaf.dtype), leaf))
         return symbols
 
     @property
@@ -183,12 +154,12 @@ class Recorder(TorchDispatchMode):
         with self._noting(False):
             return looped(self, body, state, times, going, begun)
 
-    def symbols(self, like: list[Tensor], values: list[Value], indices: list[int]) -> list[_Symbol]:
+    def symbols(self, like: list[Tensor], values: list[Value], indices: list[int]) -> list[Symbol]:
         """Tensors of the same forms, of these expressions one after the other."""
         symbols, number = [], 0
         for leaf, value in zip(like, values, strict=True):
             entries = torch.tensor(indices[number : (number := number + value.entries.numel())], dtype=torch.int64)
-            symbols.append(_symbol(Value(entries.reshape(value.entries.shape), value.dtype), _rows(leaf)))
+            symbols.append(symbol(Value(entries.reshape(value.entries.shape), value.dtype), at_example(leaf)))
         return symbols
 
     def truth(self, condition: Tensor) -> int:
@@ -198,11 +169,14 @@ class Recorder(TorchDispatchMode):
 
     def value(self, item: Any) -> Any:
         """Tensors replaced by their expressions; one that is no symbol is held by the function."""
-        if isinstance(item, _Symbol):
+        if isinstance(item, Symbol):
             return item.value
         if isinstance(item, Tensor):
             if id(item) not in self._held:
-                self._held[id(item)] = item, self.arithmetic.held(item)
+                number = self._numbers.get(id(item))
+                if number is None and item.untyped_storage().data_ptr() in self._memory:
+                    raise RuntimeError("it makes a tensor of one that it holds by other ways than torch's operations")
+                self._held[id(item)] = item, self.arithmetic.held(item, number)
             return self._held[id(item)][1]
         if isinstance(item, (list, tuple)):
             return [self.value(i) for i in item]
@@ -226,11 +200,11 @@ class Recorder(TorchDispatchMode):
     def _noted(self, name: str, func: Any, args: Any, kwargs: Any) -> Any:
         base = ".".join(name.split(".")[:2])
         if base == "aten._local_scalar_dense":
-            raise RuntimeError("it asks for the value of a tensor")
+            raise RuntimeError(UNKNOWN)
         rule = OPERATORS.get(base)
-        if base == "aten.copy_" and not isinstance(args[0], _Symbol):
+        if base == "aten.copy_" and not isinstance(args[0], Symbol):
             raise NotImplementedError("it writes into what the function holds")
-        rows = func(*_rows(args), **_rows(kwargs))
+        rows = func(*at_example(args), **at_example(kwargs))
         first = len(self.arithmetic.scalars.expressions)
         given, named = self.value(args), {key: self.value(item) for key, item in kwargs.items()}
         if base.removeprefix("aten.") in MOVES:
@@ -245,8 +219,8 @@ class Recorder(TorchDispatchMode):
         if made and len(self.arithmetic.scalars.expressions) > first:
             self.calls.append(Call(first, len(self.arithmetic.scalars.expressions), made[0].entries.clone()))
         if isinstance(rows, Tensor):
-            return _symbol(result, rows)
-        return None if rows is None else type(rows)([_symbol(r, row) for r, row in zip(result, rows, strict=True)])
+            return symbol(result, rows)
+        return None if rows is None else type(rows)([symbol(r, row) for r, row in zip(result, rows, strict=True)])
 
     def _moved(self, target: Any, args: Any, kwargs: Any, rows: Any) -> Any:
         kind = kind_of((rows if isinstance(rows, Tensor) else rows[0]).dtype)
@@ -264,31 +238,6 @@ class Recorder(TorchDispatchMode):
         if isinstance(item, dict):
             return {k: self._entries(v, kind) for k, v in item.items()}
         return item
-
-
-class _Whole(TorchFunctionMode):
-    """Keeps functions whole that have a rule of their own, and that torch would take apart."""
-
-    def __init__(self, recorder: Recorder) -> None:
-        super().__init__()
-        self._recorder = recorder
-
-    def __torch_function__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
-        name = _WHOLE.get(func)
-        if name is None:
-            return func(*args, **(kwargs or {}))
-        return self._recorder.called(name, func, args, kwargs or {})
-
-
-def _rows(item: Any) -> Any:
-    """Symbols replaced by their tensors at the example."""
-    if isinstance(item, _Symbol):
-        return item.row
-    if isinstance(item, (list, tuple)):
-        return [_rows(i) for i in item]
-    if isinstance(item, dict):
-        return {key: _rows(i) for key, i in item.items()}
-    return item
 
 
 def _types(meta: Any) -> Any:

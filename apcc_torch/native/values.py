@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
-from apcc_torch.native.scalars import BOOL, FLOAT, INT, Scalars
+from apcc_torch.native.scalars import BOOL, FLOAT, INT, Held, Scalars
 
 
 def kind_of(dtype: torch.dtype) -> str:
@@ -46,13 +46,20 @@ class Arithmetic:
         flat = [self.scalars.constant(value, kind) for value in tensor.detach().flatten().tolist()]
         return Value(torch.tensor(flat, dtype=torch.int64).reshape(tensor.shape), tensor.dtype)
 
-    def held(self, tensor: Tensor) -> Value:
-        """A tensor that the function holds, each entry a number of its own; see `Scalars.held`."""
+    def held(self, tensor: Tensor, number: int | None = None) -> Value:
+        """A tensor that the function holds, each entry a number of its own; see `Scalars.held`.
+
+        Args:
+            tensor: Its values.
+            number: Of a tensor that the function is known to hold.
+        """
         if kind_of(tensor.dtype) != FLOAT:
             return self.constant(tensor)
         self._tensors += 1
-        values = tensor.detach().flatten().tolist()
-        flat = [self.scalars.held(value, f"{self._tensors}.{k}") for k, value in enumerate(values)]
+        flat = []
+        for k, value in enumerate(tensor.detach().flatten().tolist()):
+            at = None if number is None else Held(number, k)
+            flat.append(self.scalars.held(value, f"{self._tensors}.{k}", at))
         return Value(torch.tensor(flat, dtype=torch.int64).reshape(tensor.shape), tensor.dtype)
 
     def entries(self, operand: Operand, kind: str) -> Tensor:

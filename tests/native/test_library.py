@@ -117,13 +117,13 @@ class Scaled(nn.Module):
 
 
 def test_numbers_are_read_and_not_built_in(folder: Path) -> None:
-    """Modules that differ in what they hold share a library, but for zeros, and each keeps its numbers."""
+    """Modules that differ in what they hold share a library and what is kept of its numbers, but for zeros."""
     given = ([2.0, 3.0], [0.7, 0.7], [1.0, -1.0], [1e-9, 7.0])
     for _ in range(2):
         for factor in given:
             module = Scaled(factor)
             torch.testing.assert_close(NativeFunction(module, (ONE,))(ROWS), module(ROWS))
-        assert len(list(folder.glob("*.so"))) == 1 and len(list(folder.glob("*.json"))) == len(given)
+        assert len(list(folder.glob("*.so"))) == 1 and len(list(folder.glob("*.json"))) == 1
     module = Scaled([0.0, 3.0])
     torch.testing.assert_close(NativeFunction(module, (ONE,))(ROWS), module(ROWS))
     assert len(list(folder.glob("*.so"))) == 2
