@@ -168,7 +168,7 @@ def test_whatever_a_text_says_it_is_plain_values_or_refused(reader: Callable[[st
 UNBOUNDED = {
     "composition/help.py", "composition/schema.py", "exporting/folder.py", "files.py",
     "hardware/dynamixel/models.py", "hardware/feetech/models.py", "native/build.py", "native/driver.py",
-    "native/fingerprint.py", "native/kept_program.py", "native/library.py", "native/source.py",
+    "native/code.py", "native/kept_program.py", "native/library.py", "native/source.py",
     "report/page/html.py", "report/pictures.py",
 }  # fmt: skip
 

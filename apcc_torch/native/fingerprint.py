@@ -6,20 +6,18 @@ import hashlib
 import inspect
 from collections.abc import Mapping
 from enum import Enum
-from functools import cache
-from pathlib import Path
+from functools import partial
+from types import CellType, MethodType
 from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor, nn
 
 from apcc_torch.errors import CompileError
+from apcc_torch.native.code import package_code, source_of
 from apcc_torch.part import row_tensors
 
-_PACKAGE = Path(__file__).resolve().parent.parent
-# Where the code of steps is, beside the modules of the package itself; of a class from elsewhere its own file counts.
-_FOLDERS = ("control", "envs", "estimation", "lie", "model", "native", "simulation")
-# Their text says what they are.
+# Of these the text says what they are.
 _PLAIN = (bool, int, float, complex, str, bytes, slice, range, Enum, torch.dtype, torch.device, torch.Size)
 # What nn.Module keeps for itself, none of which changes what `forward` computes.
 _BOOKKEEPING = frozenset(vars(nn.Module())) - {"_parameters", "_buffers", "_modules", "training"}
@@ -31,10 +29,12 @@ class Fingerprint(NamedTuple):
     name: 32 hexadecimal digits. Modules have the same where they differ in the values of `held` alone, and there not in
         which of these are zero.
     held: The tensors of floating-point numbers that it holds, each once.
+    lasting: Whether its source is known whole; what a session made without a file may be another the next time.
     """
 
     name: str
     held: list[Tensor]
+    lasting: bool
 
     def exact(self) -> str:
         """A name that the values of `held` have a part in."""
@@ -42,28 +42,6 @@ class Fingerprint(NamedTuple):
         for tensor in self.held:
             digest.update(_bytes(tensor))
         return digest.hexdigest()[:32]
-
-
-@cache
-def code(*folders: str) -> bytes:
-    """A digest of the source in these folders of the package; without any, of all that steps are made of."""
-    patterns = [f"{folder}/**/*.[ph]*" for folder in folders or _FOLDERS]
-    patterns += [] if folders else ["*.py"]
-    digest = hashlib.sha256()
-    for path in sorted({path for pattern in patterns for path in _PACKAGE.glob(pattern)}):
-        if path.suffix in (".py", ".hpp"):
-            digest.update(path.read_bytes())
-    return digest.digest()
-
-
-def _code_of(made: Any) -> bytes:
-    """The source of a class or a function from outside the core."""
-    if made.__module__.split(".")[0] in ("torch", "builtins"):
-        return b""
-    try:
-        return Path(inspect.getfile(made)).read_bytes()
-    except (OSError, TypeError):  # made in an interactive session
-        return repr(sorted(vars(made))).encode()
 
 
 def fingerprint(module: nn.Module, *more: str) -> Fingerprint:
@@ -74,12 +52,12 @@ def fingerprint(module: nn.Module, *more: str) -> Fingerprint:
     Raises:
         CompileError: The module holds something whose value cannot be told.
     """
-    digest = hashlib.sha256(code())
+    digest = hashlib.sha256(package_code())
     for text in (torch.__version__, str(torch.get_default_dtype()), *more):
         digest.update(text.encode())
     walk = _Walk(digest, {id(tensor): trailing for tensor, trailing in row_tensors(module).values()})
     walk.add(module, type(module).__name__)
-    return Fingerprint(digest.hexdigest()[:32], walk.held)
+    return Fingerprint(digest.hexdigest()[:32], walk.held, walk.lasting)
 
 
 class _Walk:
@@ -87,6 +65,7 @@ class _Walk:
 
     def __init__(self, digest: Any, per_row: dict[int, int]) -> None:
         self.held: list[Tensor] = []
+        self.lasting = True
         self._digest = digest
         self._per_row = per_row
         self._met: dict[int, tuple[int, Any]] = {}  # the items too: what is gone leaves its id to others
@@ -96,7 +75,7 @@ class _Walk:
 
     def add(self, item: Any, where: str) -> None:
         """Notes an item and what it holds."""
-        self._note(f"{where}:{type(item).__qualname__};")
+        self._note(f"{where}:{type(item).__module__}.{type(item).__qualname__};")
         if item is None or isinstance(item, _PLAIN):
             self._note(repr(item))
         elif isinstance(item, (list, tuple)):
@@ -117,13 +96,21 @@ class _Walk:
         """Notes what is here for the first time."""
         if isinstance(item, Tensor):
             self._tensor(item)
+        elif isinstance(item, CellType):
+            for content in _content(item):
+                self.add(content, where)
+        elif isinstance(item, MethodType):
+            self.add((item.__func__, item.__self__), where)
+        elif isinstance(item, partial):
+            self.add((item.func, item.args, item.keywords), where)
         elif inspect.isfunction(item):
-            self._digest.update(_code_of(item))
+            self._source(item)
             self._note(f"{item.__module__}.{item.__qualname__}")
+            self.add((item.__closure__, item.__defaults__, item.__kwdefaults__), where)
         elif isinstance(item, type) or (callable(item) and not hasattr(item, "__dict__")):
             self._note(f"{item.__module__}.{item.__qualname__}")
         elif hasattr(item, "__dict__"):
-            self._digest.update(_code_of(type(item)))
+            self._source(type(item))
             skipped = _BOOKKEEPING if isinstance(item, nn.Module) else ()
             for name, part in vars(item).items():
                 if name not in skipped:
@@ -132,6 +119,15 @@ class _Walk:
             raise CompileError(
                 f"{where} is a {type(item).__name__}, whose value cannot be told for the compiler's cache"
             )
+
+    def _source(self, made: Any) -> None:
+        """Notes what a class or a function is made of, and the numbers that stand beside it there."""
+        for source, beside in source_of(made):
+            if source is None:
+                self.lasting = False
+            else:
+                self._digest.update(source)
+                self.add(beside, "beside")
 
     def _tensor(self, item: Tensor) -> None:
         if id(item) in self._per_row:
@@ -145,6 +141,13 @@ class _Walk:
             self._digest.update(_bytes(torch.where(values == 0, values.signbit().byte(), 2)))
         else:
             self._digest.update(_bytes(item))
+
+
+def _content(cell: CellType) -> list[Any]:
+    try:
+        return [cell.cell_contents]
+    except ValueError:  # it is empty yet
+        return []
 
 
 def _bytes(tensor: Tensor) -> bytes:

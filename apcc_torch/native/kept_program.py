@@ -53,7 +53,7 @@ def kept_program(told: Fingerprint, dtype: torch.dtype, planned: Callable[[], Pl
     Raises:
         CompileError: It cannot be traced, built, kept or loaded.
     """
-    names, damaged = [told.name, told.exact()], ""
+    names, damaged = [told.name, told.exact()] if told.lasting else [], ""
     for name in list(names):
         record = kept(kept_name(name, "json"))
         if record is None:
@@ -70,6 +70,8 @@ def kept_program(told: Fingerprint, dtype: torch.dtype, planned: Callable[[], Pl
     plan = planned()
     library, asked = _built(plan, damaged, what)
     program = Program.of(loaded(library), [plan.trace.scalars.number(index) for index in asked], dtype)
+    if not told.lasting:
+        return program
     general = told.name in names
     found = ProgramNumbers.of(plan.trace.scalars, asked) if general else ProgramNumbers.plain(list(program.numbers))
     with alone():

@@ -9,8 +9,8 @@ from typing import NamedTuple
 
 import torch
 
+from apcc_torch.native.code import package_code
 from apcc_torch.native.driver import driver
-from apcc_torch.native.fingerprint import code
 from apcc_torch.native.scalars import Expression
 from apcc_torch.native.statements import body, is_form
 from apcc_torch.native.trace import Trace
@@ -62,7 +62,7 @@ class Plan(NamedTuple):
     def name(self) -> str:
         """What tells its text from others (32 hexadecimal digits); the numbers have no part in it."""
         trace, scalars = self.trace, self.trace.scalars
-        digest = hashlib.sha256(code("native"))
+        digest = hashlib.sha256(package_code("native"))
         for told in (
             (self.lanes, self.dtype, self.carried, trace.inputs, trace.outputs, trace.results, scalars.entry_of),
             scalars.loops,

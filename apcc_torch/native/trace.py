@@ -98,7 +98,7 @@ def _compiling() -> Iterator[None]:
 class Recorder(TorchDispatchMode):
     """Runs each of torch's operations on scalar expressions too.
 
-    held: See `traced`.
+    held: See `traced`. inside: Whether an operation of its own is done, which is not noted.
     """
 
     def __init__(self, held: Sequence[Tensor] = ()) -> None:
@@ -108,7 +108,7 @@ class Recorder(TorchDispatchMode):
         self._numbers = {id(tensor): number for number, tensor in enumerate(held)}
         self._memory = {tensor.untyped_storage().data_ptr() for tensor in held if tensor.numel()}
         self._held: dict[int, tuple[Tensor, Value]] = {}
-        self._inside = False
+        self.inside = False
         self._loops: list[int] = []
 
     def inputs(self, given: list[Tensor]) -> list[Symbol]:
@@ -130,11 +130,11 @@ class Recorder(TorchDispatchMode):
     @contextmanager
     def _noting(self, noting: bool) -> Iterator[None]:
         """Inside, torch's operations are noted, or are not."""
-        before, self._inside = self._inside, not noting
+        before, self.inside = self.inside, not noting
         try:
             yield
         finally:
-            self._inside = before
+            self.inside = before
 
     @contextmanager
     def within(self, loop: int) -> Iterator[None]:
@@ -187,15 +187,15 @@ class Recorder(TorchDispatchMode):
 
     def called(self, name: str, func: Any, args: Any, kwargs: Any) -> Any:
         """What an operation (aten.mul.Tensor, for example) gives, as symbols; what it does inside is not noted."""
-        if self._inside:
+        if self.inside:
             return func(*args, **kwargs)
-        self._inside = True
+        self.inside = True
         try:
             return self._noted(name, func, args, kwargs)
         except NotImplementedError as error:
             raise CompileError(f"{name} cannot be compiled: {error}") from error
         finally:
-            self._inside = False
+            self.inside = False
 
     def _noted(self, name: str, func: Any, args: Any, kwargs: Any) -> Any:
         base = ".".join(name.split(".")[:2])

@@ -24,7 +24,9 @@ _FORMS = (bool, int, torch.Size, torch.dtype, torch.device, torch.layout, torch.
 
 
 class Recorder(Protocol):
-    """What notes torch's operations."""
+    """What notes torch's operations, but for those of its own: `inside` it works itself."""
+
+    inside: bool
 
     def called(self, name: str, func: Any, args: Any, kwargs: Any) -> Any: ...
 
@@ -45,7 +47,7 @@ class Whole(TorchFunctionMode):
         if name is not None:
             return self._recorder.called(name, func, args, kwargs or {})
         result = func(*args, **(kwargs or {}))
-        if func is Tensor.data_ptr or not _unread(result, args):
+        if not self._recorder.inside and (func is Tensor.data_ptr or not _unread(result, args)):
             raise RuntimeError(UNKNOWN)
         return result
 

@@ -1,0 +1,131 @@
+"""How long the first step in machine code takes: `python benchmarks/first_step.py [SUBJECT ...] [--repeats 3]`.
+
+Each subject is taken three times: its structure is new (nothing is kept, so it is traced, written and compiled); its
+structure is known from another arm, in a fresh process; and once more in the same process. From the description of the
+arm to the result of the first step, without the import of torch and of this package. Every arm has other lengths, mass,
+stiffness and gains. Medians of several fresh processes, with the least and the largest; machines are noisy.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from typing import Any
+
+import gymnasium
+import torch
+from subjects import LENGTHS, SENSORS
+
+import apcc_torch.envs
+from apcc_torch import APCCController, Arm, Measurement, Target, decouple
+from apcc_torch.control.trajectory import SetPoint
+from apcc_torch.native.compiled import compiled
+from apcc_torch.simulation.dynamic import ClosedLoop
+from apcc_torch.simulation.plant import Plant
+from apcc_torch.simulation.sensors import PoseSensors
+
+gymnasium.register_envs(apcc_torch.envs)
+D = torch.float64
+AIM = torch.tensor([0.2, 0.05, -0.5], dtype=D)
+
+
+def arm(number: int) -> Arm:
+    """The paper's arm, and others of its structure."""
+    scale = 1.0 + 0.037 * number
+    lengths = [scale * length for length in LENGTHS]
+    sensors = [scale * place for place in SENSORS]
+    return Arm(lengths=lengths, sensors=sensors, mass=0.4 * scale, bending_stiffness=0.8 * scale)
+
+
+def controller(number: int) -> APCCController:
+    """That which ships for the arm."""
+    return APCCController.for_arm(arm(number), K=1.8 + 0.1 * number, elongation_bound=0.08)
+
+
+def control_step(number: int) -> object:
+    """The controller's step, of one row."""
+    c, L0, q = controller(number), arm(number).rest_lengths(), torch.zeros(9, dtype=D)
+    T = c.backbone.pose(q, L0, *decouple(arm(number).sensor_places(), L0))
+    given = c.initial_state(q, 1.1 * L0), Measurement(T, torch.zeros((), dtype=D)), Target(AIM, torch.zeros_like(AIM))
+    return compiled(c, given, "aot")(*given)
+
+
+def closed_loop(number: int) -> object:
+    """A period of controller, sensors and dynamic arm, of 64 rows."""
+    plant = Plant.on(arm(number), torch.linspace(0.0, 0.3, 64, dtype=D))
+    loop = ClosedLoop(plant, controller(number), PoseSensors(), SetPoint(AIM.expand(64, 3)), 0.01)
+    given = loop.blank()
+    return compiled(loop, given, "aot", 64, carries=True)(*given)
+
+
+def environment(number: int) -> object:
+    """Reset and step of 64 dynamic arms."""
+    envs: Any = gymnasium.make_vec("apcc/Reach-v0", num_envs=64, arm=arm(number), dynamics="dynamic", compile="aot")
+    envs.reset(seed=0)
+    return envs.step(torch.zeros(64, envs.single_action_space.shape[0]))
+
+
+SUBJECTS: dict[str, Callable[[int], object]] = {
+    "control step": control_step,
+    "closed loop": closed_loop,
+    "environment": environment,
+}
+
+
+def seconds(subject: str, *numbers: int) -> list[float]:
+    """Times of the first step of these arms, one after the other, s."""
+    times = []
+    for number in numbers:
+        started = time.perf_counter()
+        SUBJECTS[subject](number)
+        times.append(time.perf_counter() - started)
+    return times
+
+
+def in_a_process(subject: str, *numbers: int) -> list[float]:
+    """The same in a fresh process."""
+    command = [sys.executable, __file__, "--arms", *map(str, numbers), "--", subject]
+    told = subprocess.run(command, check=True, capture_output=True, text=True).stdout
+    times: list[float] = json.loads(told)
+    return times
+
+
+def measured(subject: str) -> dict[str, float]:
+    """Times of the three cases, s."""
+    with tempfile.TemporaryDirectory() as folder:
+        os.environ["APCC_CACHE"] = folder
+        (new,) = in_a_process(subject, 0)
+        known, again = in_a_process(subject, 1, 2)
+    return {"new structure": new, "known, fresh process": known, "known, same process": again}
+
+
+def main() -> None:
+    """Measures and prints."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("subjects", nargs="*", default=list(SUBJECTS), help=", ".join(SUBJECTS))
+    parser.add_argument("--repeats", type=int, default=3)
+    parser.add_argument("--arms", nargs="*", type=int, help="print the times of these arms in this process as JSON")
+    given = parser.parse_args()
+    if given.arms is not None:
+        print(json.dumps(seconds(given.subjects[0], *given.arms)))
+        return
+    print(f"{'first step':<16}{'case':<24}{'median s':>10}{'least':>8}{'largest':>9}")
+    for subject in given.subjects:
+        runs = [measured(subject) for _ in range(given.repeats)]
+        for case in runs[0]:
+            times = [run[case] for run in runs]
+            print(
+                f"{subject:<16}{case:<24}{statistics.median(times):>10.2f}{min(times):>8.2f}{max(times):>9.2f}",
+                flush=True,
+            )
+
+
+if __name__ == "__main__":
+    main()
