@@ -97,6 +97,27 @@ def fixed_point_slope(
     return -first - N @ _solved(free, UNTURNED)[0]
 
 
+@full_precision
+def cost_slope(backbone: KinematicModel, mode: str, q: Tensor, problem: Problem) -> Tensor:
+    """c_qq (..., n, n) of the modes "pose" and "position", in closed form; unchecked.
+
+    Args:
+        backbone: The model.
+        mode: One of the two.
+        q: (..., n).
+        problem: The sensors.
+    """
+    chain = backbone.chain_to(q, problem.points)
+    twist, k = twists(chain, mode, problem)
+    if mode == "pose":
+        costs = pose_costs(twist, k, problem)
+    else:
+        costs = position_costs(twist[..., 3:], problem.weights[..., 5, :])
+    # Of what slides with the rest lengths nothing is asked.
+    pi = q.new_zeros(*q.shape[:-1], backbone.n_sections)
+    return backbone.second_order(q, pi, problem.points, chain, costs.gradient, costs.slope).hessian.sum(-3)
+
+
 def position_costs(linear: Tensor, weight: Tensor) -> Costs:
     """Half the squares of residuals (..., k, 3) m in the frames' own axes, weights (..., k, 1) zero or one."""
     # As the frame moves the residual falls; as the frame turns the residual turns the other way.

@@ -15,6 +15,7 @@ from torch.func import vjp, vmap
 
 from apcc_torch.errors import GradientError
 from apcc_torch.estimation.fit import Fit, Problem, evaluate
+from apcc_torch.estimation.fixed_point import cost_slope
 from apcc_torch.estimation.iteration import Outcome
 from apcc_torch.estimation.step import Residual, hierarchical_step
 from apcc_torch.model.abscissae import MaterialPoints
@@ -98,13 +99,15 @@ def _defect(mode: str, residual: Residual) -> Tensor:
 @full_precision
 def _slope(backbone: KinematicModel, mode: str, q: Tensor, problem: Problem) -> Tensor:
     """dF/dq (..., n, n), less `UNSEEN` on its diagonal, at which F falls."""
+    n = q.shape[-1]
+    identity = torch.eye(n, dtype=q.dtype, device=q.device)
+    if mode != "hierarchical":
+        return -cost_slope(backbone, mode, q, problem) - UNSEEN * identity
 
     def defect(at: Tensor) -> Tensor:
         return _defect(mode, evaluate(backbone, mode, at, problem).residual(mode, problem.weights))
 
     pulled = vjp(defect, q)[1]
-    n = q.shape[-1]
-    identity = torch.eye(n, dtype=q.dtype, device=q.device)
     (rows,) = vmap(pulled)(identity.view(n, *[1] * (q.dim() - 1), n).expand(n, *q.shape))
     return rows.movedim(0, -2) - UNSEEN * identity
 

@@ -8,17 +8,20 @@ number of periods take the least memory, which then grows as that root; the time
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from math import isqrt
 from typing import Any, TypeVar
 
 import torch
 from torch import Tensor
-from torch.utils.checkpoint import checkpoint
 
 from apcc_torch.simulation.log_rows import Rows
 from apcc_torch.simulation.progress import Progress, quiet
+from apcc_torch.simulation.segment import forgotten
 
 S = TypeVar("S")
+LIGHTER = 4
+"""About the root of how much larger what a gradient needs of a period is than the state."""
 Period = Callable[..., tuple[S, Sequence[Tensor]]]
 """(state, *arguments) -> the state one period later, and a row of the log."""
 
@@ -48,20 +51,18 @@ def rollout(
     """
     log = Rows(steps)
     counter = iter(progress(range(steps)))
-    length = max(isqrt(steps), 1) if checkpointed and torch.is_grad_enabled() else 1
+    forgets = checkpointed and torch.is_grad_enabled()
+    length = max(isqrt(steps) // LIGHTER, 1) if forgets else 1
 
-    def segment(now: S, given: list[tuple[Any, ...]]) -> tuple[S, list[Sequence[Tensor]]]:
+    def segment(now: S, given: list[tuple[Any, ...]]) -> tuple[S, tuple[tuple[Tensor, ...], ...]]:
         rows = []
         for one in given:
             now, row = period(now, *one)
-            rows.append(row)
-        return now, rows
+            rows.append(tuple(row))
+        return now, tuple(rows)
 
     while given := [arguments(k) for _, k in zip(range(length), counter, strict=False)]:
-        if length > 1:
-            state, rows = checkpoint(segment, state, given, use_reentrant=False, preserve_rng_state=False)
-        else:
-            state, rows = segment(state, given)
+        state, rows = forgotten(partial(segment, given=given), state) if forgets else segment(state, given)
         for row in rows:
             log.add(row)
     return state, log.stacked()
