@@ -1,8 +1,8 @@
-"""What a gradient through section V-A costs: `python benchmarks/gradients.py [--periods 100] [--rows 1]`.
+"""What a gradient through a closed loop costs: `python benchmarks/gradients.py [--loop dynamic] [--periods 100]`.
 
 Prints time and memory of a run without gradients, and of a run and its gradient by K and Gamma with the fixed point's
 implicit derivative, through every iteration, and with checkpoints. All ways take turns and each keeps its fastest time;
-memory is the largest of a process of its own.
+memory is the largest of a process of its own. The loop is section V-A's, or the dynamic one of section V-B.
 """
 
 from __future__ import annotations
@@ -14,13 +14,17 @@ from math import pi
 from multiprocessing import get_context
 
 import torch
+from subjects import plant
 from torch import Tensor
 
 from apcc_torch import AdaptiveLaw, APCCController, InverseKinematics, PCCBackbone, SavitzkyGolay, StateFeedback
 from apcc_torch.control.length_bounds import LengthBounds
 from apcc_torch.control.trajectory import SineTrajectory
 from apcc_torch.model.backbone import HANGING
+from apcc_torch.model.tendons import rack_routing
+from apcc_torch.simulation.dynamic import DynamicLog, DynamicSettings, simulate_dynamic
 from apcc_torch.simulation.kinematic import KinematicLog, simulate_feedback
+from apcc_torch.simulation.sensors import PoseSensors
 
 D = torch.float64
 TRUE = torch.tensor([0.105, 0.255, 0.240], dtype=D)
@@ -33,11 +37,12 @@ WAYS = {
     "implicit": ("implicit", False),
     "unrolled": ("unrolled", False),
     "implicit, checkpointed": ("implicit", True),
+    "unrolled, checkpointed": ("unrolled", True),
 }
 
 
-def run(gains: tuple[Tensor, Tensor], way: str, periods: int, rows: int) -> KinematicLog:
-    """One run of section V-A."""
+def run(loop: str, gains: tuple[Tensor, Tensor], way: str, periods: int, rows: int) -> KinematicLog | DynamicLog:
+    """One run of a loop."""
     gradient, checkpointed = WAYS[way]
     K, gamma = gains
     backbone = PCCBackbone(3, torch.tensor(HANGING, dtype=D))
@@ -48,32 +53,36 @@ def run(gains: tuple[Tensor, Tensor], way: str, periods: int, rows: int) -> Kine
         InverseKinematics(K, null_gain=1.0),
         AdaptiveLaw(3, gamma, normalisation=10.0),
         bounds=LengthBounds(TRUE, SENSORS, lower=None, upper=None, reach="last"),
+        routing=rack_routing(SENSORS) if loop == "dynamic" else None,
     )
     start = GUESS.expand(rows, 3)
+    if loop == "dynamic":
+        settings = DynamicSettings(duration=(periods - 1) / RATE, control_rate=RATE, checkpointed=checkpointed)
+        return simulate_dynamic(plant(rows), controller, PoseSensors(), PATH, start, settings)
     return simulate_feedback(controller, TRUE, start, PATH, (periods - 1) / RATE, RATE, checkpointed=checkpointed)
 
 
-def seconds(way: str, periods: int, rows: int) -> float:
+def seconds(loop: str, way: str, periods: int, rows: int) -> float:
     """Time of one run, with its gradient if the way has one."""
     gains = (torch.tensor(1.0, dtype=D), torch.tensor([90.0, 42.5, 35.0], dtype=D))
     started = time.perf_counter()
     if way == "no gradient":
         with torch.no_grad():
-            run(gains, way, periods, rows)
+            run(loop, gains, way, periods, rows)
         return time.perf_counter() - started
     for gain in gains:
         gain.requires_grad_()
-    log = run(gains, way, periods, rows)
+    log = run(loop, gains, way, periods, rows)
     loss = (log.x_d - log.x).square().sum() + (log.pi_hat - TRUE).square().sum()
     torch.autograd.grad(loss, gains)
     return time.perf_counter() - started
 
 
-def peak(way: str, periods: int, rows: int) -> float:
+def peak(loop: str, way: str, periods: int, rows: int) -> float:
     """By how much one run raises this process's largest resident memory, MiB: for a process of its own."""
     torch.set_num_threads(1)
-    seconds(way, 4, 1)  # what is loaded at the first gradient is not the run's
-    before, _, after = (resident(), seconds(way, periods, rows), resident())
+    seconds(loop, way, 4, 1)  # what is loaded at the first gradient is not the run's
+    before, _, after = (resident(), seconds(loop, way, periods, rows), resident())
     return after - before
 
 
@@ -85,6 +94,10 @@ def resident() -> float:
 def main() -> None:
     """Measures and prints."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--loop", choices=("kinematic", "dynamic"), default="kinematic")
+    parser.add_argument(
+        "--ways", nargs="+", choices=list(WAYS), default=list(WAYS), metavar="WAY", help=", ".join(WAYS)
+    )
     parser.add_argument("--periods", type=int, default=100)
     parser.add_argument("--rows", type=int, default=1)
     parser.add_argument("--repeats", type=int, default=5)
@@ -92,19 +105,21 @@ def main() -> None:
     torch.set_num_threads(1)
     # First, for a process inherits the largest memory of the one that starts it.
     memory = {}
-    for way in WAYS:
+    for way in given.ways:
         with get_context("spawn").Pool(1) as alone:
-            memory[way] = alone.apply(peak, (way, given.periods, given.rows))
-    times: dict[str, list[float]] = {way: [] for way in WAYS}
+            memory[way] = alone.apply(peak, (given.loop, way, given.periods, given.rows))
+    times: dict[str, list[float]] = {way: [] for way in given.ways}
     for _ in range(given.repeats):
         for way, found in times.items():
-            found.append(seconds(way, given.periods, given.rows))
+            found.append(seconds(given.loop, way, given.periods, given.rows))
     fastest = {way: min(found) for way, found in times.items()}
-    print(f"{given.periods} periods of {given.rows} rows, best of {given.repeats}")
+    print(f"{given.loop}, {given.periods} periods of {given.rows} rows, best of {given.repeats}")
+    first = next(iter(fastest.values()))
     for way, best in fastest.items():
-        ratio = best / fastest["no gradient"]
-        print(f"{way:24s} {best:8.3f} s  {ratio:5.2f} times the run alone  {memory[way]:8.1f} MiB")
-    print(f"implicit / unrolled: {fastest['implicit'] / fastest['unrolled']:.2f}")
+        took, kept = f"{best:8.3f} s  {best / first:5.2f} times the first", memory[way] / given.periods
+        print(f"{way:24s} {took}  {memory[way]:8.1f} MiB  {kept:6.3f} a period")
+    if {"implicit", "unrolled"} <= set(fastest):
+        print(f"implicit / unrolled: {fastest['implicit'] / fastest['unrolled']:.2f}")
 
 
 if __name__ == "__main__":

@@ -1,14 +1,13 @@
 """Many periods of a loop in a row, with a log; for gradients over long times, with few of its states kept.
 
 A gradient needs what every period computed. Checkpointed, only each segment's first state and its rows of the log are
-kept, and a segment is computed again when the gradient comes back to it. Segments of about the square root of the
-number of periods take the least memory, which then grows as that root; the time is that of one more run.
+kept, neither tensors nor torch's record of operations, and a segment is computed again when the gradient comes back to
+it. The least memory is that of segments which need as much as all the states together; the time is that of one more run.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from functools import partial
 from math import isqrt
 from typing import Any, TypeVar
 
@@ -17,11 +16,11 @@ from torch import Tensor
 
 from apcc_torch.simulation.log_rows import Rows
 from apcc_torch.simulation.progress import Progress, quiet
-from apcc_torch.simulation.segment import forgotten
+from apcc_torch.simulation.segment import Forgotten
 
 S = TypeVar("S")
 LIGHTER = 4
-"""About the root of how much larger what a gradient needs of a period is than the state."""
+"""A segment has the root of the number of periods over this: a period's operations take some twenty times its state."""
 Period = Callable[..., tuple[S, Sequence[Tensor]]]
 """(state, *arguments) -> the state one period later, and a row of the log."""
 
@@ -42,8 +41,8 @@ def rollout(
         arguments: Number of a period -> what it is given besides the state. Called once a period, in order, so chance
             may be drawn here.
         steps: How many periods.
-        checkpointed: Whether segments of about sqrt(steps) periods are computed again for a gradient. Without
-            gradients it changes nothing.
+        checkpointed: Whether segments of some periods are computed again for a gradient, which then cannot be
+            differentiated again; see `Forgotten`. Without gradients it changes nothing.
         progress: Wraps the step counter, for a progress bar.
 
     Returns:
@@ -61,8 +60,9 @@ def rollout(
             rows.append(tuple(row))
         return now, tuple(rows)
 
+    run = Forgotten(segment) if forgets else segment
     while given := [arguments(k) for _, k in zip(range(length), counter, strict=False)]:
-        state, rows = forgotten(partial(segment, given=given), state) if forgets else segment(state, given)
+        state, rows = run(state, given)
         for row in rows:
             log.add(row)
     return state, log.stacked()

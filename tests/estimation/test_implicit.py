@@ -11,9 +11,11 @@ from torch import Tensor
 
 from apcc_torch.errors import ConfigError, GradientError
 from apcc_torch.estimation.feedback import Feedback, FeedbackStatus
+from apcc_torch.estimation.fit import Problem, evaluate
+from apcc_torch.estimation.fixed_point import cost_slope
 from apcc_torch.estimation.state_feedback import StateFeedback
 from apcc_torch.lie import se3
-from apcc_torch.model.abscissae import decouple
+from apcc_torch.model.abscissae import decouple, located
 from apcc_torch.model.backbone import PCCBackbone
 from arms import HANGING_BASE, PI, configurations
 from laws import bits, generator, normal
@@ -194,3 +196,29 @@ def test_functional_gradients_and_single_precision() -> None:
 def test_an_unknown_gradient_is_refused() -> None:
     with pytest.raises(ConfigError, match="gradient must be one of implicit, unrolled"):
         StateFeedback(PCCBackbone(3, HANGING_BASE), FOUR, gradient="exact")
+
+
+@pytest.mark.parametrize("mode", ["pose", "position"])
+def test_the_closed_form_is_the_slope_of_the_gradient(mode: str) -> None:
+    """Against autograd on the sum of weighted squares, with sensors that see nothing or no orientation."""
+    backbone, rows = PCCBackbone(3, HANGING_BASE), 9
+    q, T = poses(FOUR, rows)
+    rng = generator(4)
+    usable = torch.rand(rows, len(FOUR), generator=rng) > 0.2
+    oriented = usable & (torch.rand(rows, len(FOUR), generator=rng) > 0.2)
+    weights = usable.to(D)[..., None, None] * torch.tensor([0.3] * 3 + [1.0] * 3, dtype=D).unsqueeze(-1)
+    angular = torch.arange(6).unsqueeze(-1) < 3
+    weights = torch.where(angular & ~oriented[..., None, None], 0.0, weights)
+    if mode == "position":
+        weights = torch.where(angular, 0.0, weights)
+    pi = PI.expand(rows, 3)
+    points = backbone.material_points(pi, *located(FOUR.expand(rows, 4), pi))
+    problem = Problem(T[..., :3, :3], T[..., :3, 3], points, usable, oriented, weights)
+
+    def cost(at: Tensor) -> Tensor:
+        return 0.5 * (weights.squeeze(-1) * evaluate(backbone, mode, at, problem).twist).square().sum()
+
+    at = q + 0.05 * normal(q.shape, D, rng) * torch.tensor([1.0, 1.0, 0.05] * 3, dtype=D)
+    have = cost_slope(backbone, mode, at, problem)
+    want = torch.stack([torch.autograd.functional.hessian(cost, at)[r, :, r] for r in range(rows)])
+    torch.testing.assert_close(have, want, rtol=1e-9, atol=1e-9 * float(want.abs().max()))

@@ -184,8 +184,8 @@ def test_checkpointed_is_the_same_and_keeps_less(name: str) -> None:
     assert any(float(gradient.abs().max()) > 0.0 for gradient in gradients)
     for have, want in zip(regained, gradients, strict=True):
         torch.testing.assert_close(have, want, rtol=1e-9, atol=1e-12)
-    # Segments of 3 of some 12 periods: what lives at once is one segment's graph, the states and the log.
-    assert part < 0.4 * whole
+    # Segments of one of some 12 periods: what lives at once is one period's graph, the states and the log.
+    assert part < 0.2 * whole
 
 
 def test_checkpointed_settling_has_the_gradient_of_the_payload() -> None:
