@@ -2,7 +2,7 @@
 
 A gradient needs what every period computed. Checkpointed, only each segment's first state and its rows of the log are
 kept, neither tensors nor torch's record of operations, and a segment is computed again when the gradient comes back to
-it. The least memory is that of segments which need as much as all the states together; the time is that of one more run.
+it. The least memory is that of segments which need as much as all the states together; the time is one more run's.
 """
 
 from __future__ import annotations
