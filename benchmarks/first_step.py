@@ -28,7 +28,7 @@ from apcc_torch import APCCController, Arm, Measurement, Target, decouple
 from apcc_torch.control.trajectory import SetPoint
 from apcc_torch.native.compiled import compiled
 from apcc_torch.simulation.dynamic import ClosedLoop
-from apcc_torch.simulation.plant import Plant
+from apcc_torch.simulation.plant import Plant, PlantSettings
 from apcc_torch.simulation.sensors import PoseSensors
 
 gymnasium.register_envs(apcc_torch.envs)
@@ -59,7 +59,7 @@ def control_step(number: int) -> object:
 
 def closed_loop(number: int) -> object:
     """A period of controller, sensors and dynamic arm, of 64 rows."""
-    plant = Plant.on(arm(number), torch.linspace(0.0, 0.3, 64, dtype=D))
+    plant = Plant.on(arm(number), torch.linspace(0.0, 0.3, 64, dtype=D), PlantSettings())
     loop = ClosedLoop(plant, controller(number), PoseSensors(), SetPoint(AIM.expand(64, 3)), 0.01)
     given = loop.blank()
     return compiled(loop, given, "aot", 64, carries=True)(*given)

@@ -111,6 +111,11 @@ class Recorder(TorchDispatchMode):
         self.inside = False
         self._loops: list[int] = []
 
+    @classmethod
+    def _should_skip_dynamo(cls) -> bool:
+        """No: what keeps torch's compiler away imports it, for half a second, and nothing is compiled here."""
+        return False
+
     def inputs(self, given: list[Tensor]) -> list[Symbol]:
         """Symbols of the arguments."""
         symbols, counts = [], {FLOAT: 0, INT: 0, BOOL: 0}
