@@ -174,7 +174,7 @@ class NativeFunction:
         now = told.exact()
         if now not in self._traces:
             with torch.inference_mode(False):
-                self._traces = {now: traced(self.traced, self.example, told.held)}
+                self._traces = {now: traced(self.traced, self.example, told.held, told.described)}
         return Plan(self._traces[now], lanes, self._dtype, self._carried)
 
     def lanes(self, rows: int) -> int:

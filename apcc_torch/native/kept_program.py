@@ -41,8 +41,8 @@ class Program(NamedTuple):
 def kept_program(told: Fingerprint, dtype: torch.dtype, planned: Callable[[], Plan], what: str) -> Program:
     """A module's program; planned where it is not known, and built where it is not kept, or damaged.
 
-    What was planned for a module is taken for another that differs in the values of its tensors alone, as far as these
-    do not decide the program's form.
+    What was planned for a module is taken for another that differs in the values of its tensors, as far as these do not
+    decide the program's form, and in settings that were not read.
 
     Args:
         told: The module.
@@ -60,7 +60,7 @@ def kept_program(told: Fingerprint, dtype: torch.dtype, planned: Callable[[], Pl
             continue
         known = json.loads(record.read_text(encoding="ascii"))
         numbers = ProgramNumbers(**known["numbers"]).values(told.held)
-        if numbers is None:
+        if numbers is None or any(told.told[number] != digest for number, digest in known["read"]):
             names.remove(name)  # that of another module, which keeps it
             continue
         library = kept(known["library"])
@@ -75,8 +75,9 @@ def kept_program(told: Fingerprint, dtype: torch.dtype, planned: Callable[[], Pl
     general = told.name in names
     found = ProgramNumbers.of(plan.trace.scalars, asked) if general else ProgramNumbers.plain(list(program.numbers))
     with alone():
-        content = json.dumps({"library": library.name, "numbers": found._asdict()}).encode("ascii")
-        keep(content, kept_name(told.name if general else told.exact(), "json"))
+        read = [(number, told.told[number]) for number in plan.trace.read]
+        content = {"library": library.name, "numbers": found._asdict(), "read": read}
+        keep(json.dumps(content).encode("ascii"), kept_name(told.name if general else told.exact(), "json"))
     return program
 
 

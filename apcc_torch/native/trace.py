@@ -14,12 +14,14 @@ from apcc_torch.errors import CompileError
 from apcc_torch.native.alike import Call
 from apcc_torch.native.loops import looped
 from apcc_torch.native.operators import MOVES, OPERATORS
+from apcc_torch.native.reads import reads_of
 from apcc_torch.native.scalars import BOOL, FLOAT, INT, Scalars
 from apcc_torch.native.structure import flattened, rebuilt
 from apcc_torch.native.symbol import Symbol, at_example, symbol
 from apcc_torch.native.values import Arithmetic, Value, kind_of
 from apcc_torch.native.whole import UNKNOWN, Whole
 from apcc_torch.repetition import recorded_by
+from apcc_torch.settings import Settings
 
 Function = Callable[..., Any]
 
@@ -44,6 +46,7 @@ class Trace(NamedTuple):
     inputs, outputs: Tensors of the flattened arguments and results.
     results: For each output the expressions of its entries, row by row.
     calls: The tensor operations that made the expressions.
+    read: Numbers of the settings that were read meanwhile, of those that `traced` was told.
     """
 
     scalars: Scalars
@@ -51,15 +54,19 @@ class Trace(NamedTuple):
     outputs: list[Leaf]
     results: list[list[int]]
     calls: list[Call]
+    read: list[int]
 
 
-def traced(function: Function, example: tuple[Any, ...], held: Sequence[Tensor] = ()) -> Trace:
+def traced(
+    function: Function, example: tuple[Any, ...], held: Sequence[Tensor] = (), described: Sequence[Settings] = ()
+) -> Trace:
     """Traces `function` at one row of arguments; what it holds is taken as constant.
 
     Args:
         function: Of (nested) tensors, without branches on their values.
         example: One row of arguments, without batch dimensions.
         held: Tensors that the function holds; `Scalars.held_at` has their numbers in this order.
+        described: Settings that it holds, which are of account where it reads them.
 
     Raises:
         CompileError: It cannot be traced, or uses an operation that is not in the table.
@@ -70,7 +77,14 @@ def traced(function: Function, example: tuple[Any, ...], held: Sequence[Tensor] 
     inputs = [Leaf(tuple(leaf.shape), leaf.dtype) for leaf in given]
     symbols = recorder.inputs(given)
     try:
-        with torch.no_grad(), _compiling(), Whole(recorder), recorder, recorded_by(recorder.repeated):
+        with (
+            reads_of(described) as read,
+            torch.no_grad(),
+            _compiling(),
+            Whole(recorder),
+            recorder,
+            recorded_by(recorder.repeated),
+        ):
             returned = function(*rebuilt(example, iter(symbols)))
     except CompileError:
         raise
@@ -79,7 +93,7 @@ def traced(function: Function, example: tuple[Any, ...], held: Sequence[Tensor] 
     outcome = [recorder.value(leaf) for leaf in flattened(returned)]
     outputs = [Leaf(tuple(value.entries.shape), value.dtype) for value in outcome]
     results = [value.entries.flatten().tolist() for value in outcome]
-    return Trace(recorder.arithmetic.scalars, inputs, outputs, results, recorder.calls)
+    return Trace(recorder.arithmetic.scalars, inputs, outputs, results, recorder.calls, sorted(read))
 
 
 @contextmanager

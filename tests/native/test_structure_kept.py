@@ -472,3 +472,39 @@ def test_functions_count_with_what_they_hold() -> None:
         for way in ways:
             module = Calls(way)
             assert worst(NativeFunction(module, (X,))(X), module(X)) < 1e-15
+
+
+class Describes(nn.Module):
+    """Holds a description, of which it reads some or nothing."""
+
+    def __init__(self, arm: Arm, how: Callable[[Arm], float]) -> None:
+        super().__init__()
+        self.arm, self.again, self.how = arm, [arm], how
+
+    def forward(self, x: Tensor) -> Tensor:
+        return self.how(self.again[0]) * x
+
+
+def _nothing(arm: Arm) -> float:
+    return 1.3 if isinstance(arm, Arm) else 1.7
+
+
+def _field(arm: Arm) -> float:
+    return float(arm.mass)  # type: ignore[arg-type]
+
+
+def _whole(arm: Arm) -> float:
+    return 1.3 if arm == Arm(lengths=[0.2], mass=0.4) else 1.7
+
+
+def _members(arm: Arm) -> float:
+    return float(vars(arm)["lengths"][0])
+
+
+@pytest.mark.parametrize(("how", "again"), [(_nothing, 0), (_field, 2), (_whole, 2), (_members, 2)])
+def test_settings_count_where_they_are_read(how: Callable[[Arm], float], again: int, counted: dict[str, int]) -> None:
+    for _ in range(2):
+        for arm in (Arm(lengths=[0.2], mass=0.4), Arm(lengths=[0.25], mass=0.4), Arm(lengths=[0.2], mass=0.5)):
+            module = Describes(arm, how)
+            assert worst(NativeFunction(module, (X,))(X), module(X)) < 1e-15
+    assert counted["traced"] == 1 + again
