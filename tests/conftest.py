@@ -29,6 +29,7 @@ LONG = (
     "simulation/test_rollout.py",
     "native/test_steps.py",
     "native/test_models.py",
+    "native/test_structure_kept.py",
     "exporting/test_steps.py",
     "exporting/test_folder.py",
     "tests/test_robot.py",
