@@ -3,6 +3,7 @@
 Prints time and memory of a run without gradients, and of a run and its gradient by K and Gamma with the fixed point's
 implicit derivative, through every iteration, and with checkpoints. All ways take turns and each keeps its fastest time;
 memory is the largest of a process of its own. The loop is section V-A's, or the dynamic one of section V-B.
+`--machine-code` times forward dynamics and their gradient in place of a loop.
 """
 
 from __future__ import annotations
@@ -10,11 +11,13 @@ from __future__ import annotations
 import argparse
 import resource
 import time
+from collections.abc import Callable
 from math import pi
 from multiprocessing import get_context
 
 import torch
-from subjects import plant
+from subjects import dynamics, plant, states
+from timing import timed
 from torch import Tensor
 
 from apcc_torch import AdaptiveLaw, APCCController, InverseKinematics, PCCBackbone, SavitzkyGolay, StateFeedback
@@ -22,6 +25,7 @@ from apcc_torch.control.length_bounds import LengthBounds
 from apcc_torch.control.trajectory import SineTrajectory
 from apcc_torch.model.backbone import HANGING
 from apcc_torch.model.tendons import rack_routing
+from apcc_torch.native import DifferentiableFunction
 from apcc_torch.simulation.dynamic import DynamicLog, DynamicSettings, simulate_dynamic
 from apcc_torch.simulation.kinematic import KinematicLog, simulate_feedback
 from apcc_torch.simulation.sensors import PoseSensors
@@ -78,6 +82,24 @@ def seconds(loop: str, way: str, periods: int, rows: int) -> float:
     return time.perf_counter() - started
 
 
+def in_machine_code(rows: int) -> None:
+    """Prints what forward dynamics of six sections and their gradient take, by torch and in machine code."""
+    module, given = dynamics(6, D), states(6, rows, D)
+    example = tuple(value[0] for value in given) if rows > 1 else given
+    fast = DifferentiableFunction(module, example)
+    weight = torch.ones_like(module(*given))
+
+    def gradient(function: Callable[..., Tensor]) -> None:
+        leaves = [value.clone().requires_grad_() for value in given]
+        torch.autograd.grad(function(*leaves), leaves, weight)
+
+    for name, function in (("torch", module), ("machine code", fast)):
+        with torch.no_grad():
+            alone = timed(lambda f=function: f(*given), 1.0)["median_us"]
+        whole = timed(lambda f=function: gradient(f), 2.0)["median_us"]
+        print(f"{rows} rows, {name:14s} dynamics {alone:10.1f} us, with their gradient {whole:10.1f} us")
+
+
 def peak(loop: str, way: str, periods: int, rows: int) -> float:
     """By how much one run raises this process's largest resident memory, MiB: for a process of its own."""
     torch.set_num_threads(1)
@@ -101,8 +123,11 @@ def main() -> None:
     parser.add_argument("--periods", type=int, default=100)
     parser.add_argument("--rows", type=int, default=1)
     parser.add_argument("--repeats", type=int, default=5)
+    parser.add_argument("--machine-code", action="store_true", help="forward dynamics by torch and in machine code")
     given = parser.parse_args()
     torch.set_num_threads(1)
+    if given.machine_code:
+        return in_machine_code(given.rows)
     # First, for a process inherits the largest memory of the one that starts it.
     memory = {}
     for way in given.ways:

@@ -59,6 +59,7 @@ UNCHECKED_COMMANDS: dict[str, str] = {
 
 UNRUN_BLOCKS: dict[str, str] = {
     "docs/environments.md 3": "trains for minutes; tests/envs/test_libraries.py runs the adapter",
+    "docs/gradients.md 2": "builds libraries; tests/native/test_gradient.py does",
     "docs/report.md 1": "pandas is not among the dev requirements, and the sweep is the reader's",
     "docs/speed.md 1": "builds a library for half a minute; tests/native/test_steps.py calls one",
     "docs/speed.md 2": "builds three libraries; tests/native/test_kinematics.py does, of smaller arms",

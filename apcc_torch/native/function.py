@@ -129,12 +129,12 @@ class NativeFunction:
     ) -> None:
         self.module, self._named = module_of(module)
         self.threads = threads
-        self._rows = [tensor for tensor, _ in row_tensors(self.module).values()]
+        self.rows = [tensor for tensor, _ in row_tensors(self.module).values()]
         with torch.inference_mode():
             self.traced, extra = one_row(self.module)
-            self._like = self.traced(*example, *extra)
+            self.like = self.traced(*example, *extra)
         self.example = (*example, *extra)
-        given, returned = flattened(self.example), flattened(self._like)
+        given, returned = flattened(self.example), flattened(self.like)
         self._inputs = [Leaf(tuple(t.shape), t.dtype) for t in given]
         self._outputs = [Leaf(tuple(t.shape), t.dtype) for t in returned]
         for tensor in given:
@@ -151,7 +151,7 @@ class NativeFunction:
         self._traces: dict[str, Trace] = {}  # by the module's exact name: what it holds may have been changed
 
     def _pairs(self, given: Any) -> list[tuple[int, int]]:
-        first = self._like[0] if type(self._like) is tuple else self._like
+        first = self.like[0] if type(self.like) is tuple else self.like
         now, later = described(given), described(first)
         if now != later:
             raise CompileError(f"what is carried must come back as it went in: {now} became {later}")
@@ -188,22 +188,22 @@ class NativeFunction:
             ShapeError, DtypeError: The arguments are not the example's with leading dimensions.
             ValueRangeError: `repeats` is not positive, or an argument asks for a gradient.
         """
-        given = [*flattened(args), *self._rows]
+        given = [*flattened(args), *self.rows]
         if len(given) != len(self._inputs):
-            wanted = len(self._inputs) - len(self._rows)
-            raise ShapeError(f"the compiled function takes {wanted} tensors, got {len(given) - len(self._rows)}")
+            wanted = len(self._inputs) - len(self.rows)
+            raise ShapeError(f"the compiled function takes {wanted} tensors, got {len(given) - len(self.rows)}")
         if repeats < 1 or (repeats > 1 and not self._carried):
             raise ValueRangeError(f"repeats must be 1, or more where the function carries its result; got {repeats}")
         form = self._form(given)
         outputs = [torch.empty(shape, dtype=dtype) for shape, dtype in form.outputs]
         if form.batch.numel():
             self._ready(given, outputs, form, repeats)()
-        return rebuilt(self._like, iter(outputs))
+        return rebuilt(self.like, iter(outputs))
 
     def blank(self, given: list[Tensor]) -> Any:
         """What a call with these flattened arguments returns, of zeros."""
-        form = self._form([*given, *self._rows])
-        return rebuilt(self._like, (torch.zeros(shape, dtype=dtype) for shape, dtype in form.outputs))
+        form = self._form([*given, *self.rows])
+        return rebuilt(self.like, (torch.zeros(shape, dtype=dtype) for shape, dtype in form.outputs))
 
     def bound(self, given: list[Tensor], outputs: list[Tensor]) -> Ready:
         """A call on tensors that stay where they are, which may be made again and again.
@@ -215,7 +215,7 @@ class NativeFunction:
         Raises:
             ShapeError, DtypeError: They are not the example's with leading dimensions.
         """
-        given = [*given, *self._rows]
+        given = [*given, *self.rows]
         return self._ready(given, outputs, self._form(given))
 
     def _ready(self, given: list[Tensor], outputs: list[Tensor], form: _Form, repeats: int = 1) -> Ready:
