@@ -12,6 +12,8 @@ import torch
 from hypothesis import strategies as st
 from torch import Tensor
 
+from apcc_torch.native.structure import flattened
+
 FLOATS = (torch.float32, torch.float64)
 SHAPES: tuple[tuple[int, ...], ...] = ((), (1,), (3, 2))
 # (relative, absolute) agreement of two orders of the same float operations, for values of order one.
@@ -213,3 +215,9 @@ def poses(shape: Sequence[int], dtype: torch.dtype, rng: torch.Generator) -> Ten
     pose[..., :3, :3] = rotations(shape, torch.float64, rng)
     pose[..., :3, 3] = normal((*shape, 3), torch.float64, rng)
     return pose.to(dtype)
+
+
+def worst(have: Any, want: Any) -> float:
+    """Largest difference, of large numbers (rates, forces) relative to the largest of them."""
+    pairs = [(a.double(), b.double()) for a, b in zip(flattened(have), flattened(want), strict=True)]
+    return max(float((a - b).abs().max() / b.abs().max().clamp(min=1.0)) for a, b in pairs if b.numel())

@@ -23,13 +23,12 @@ from apcc_torch.model.stiffness import scaled_stiffness
 from apcc_torch.model.tendons import rack_routing
 from apcc_torch.native.compiled import compiled
 from apcc_torch.native.function import NativeFunction
-from apcc_torch.native.structure import flattened
 from apcc_torch.simulation.dynamic import ClosedLoop
 from apcc_torch.simulation.exact import simulate_exact
 from apcc_torch.simulation.kinematic import simulate_feedback
 from apcc_torch.simulation.plant import Plant
 from apcc_torch.simulation.sensors import PoseSensors
-from laws import generator, normal
+from laws import generator, normal, worst
 
 D = torch.float64
 BASE = torch.tensor(HANGING, dtype=D)
@@ -52,12 +51,6 @@ def controller(mode: str = "pose", iterations: int = 2, **parts: Any) -> APCCCon
         elongation_bound=0.01,  # some rows are at it
         **parts,
     )
-
-
-def worst(have: Any, want: Any) -> float:
-    """Largest difference, of large numbers (rates, forces) relative to the largest of them."""
-    pairs = [(a.double(), b.double()) for a, b in zip(flattened(have), flattened(want), strict=True)]
-    return max(float((a - b).abs().max() / b.abs().max().clamp(min=1.0)) for a, b in pairs if b.numel())
 
 
 def step_inputs(c: APCCController, rows: int) -> tuple[Any, Measurement, Target]:

@@ -3,54 +3,24 @@
 from __future__ import annotations
 
 import copy
-import ctypes
-import importlib
 import math
 import random
-from collections.abc import Callable, Iterator
-from functools import partial
-from pathlib import Path
+from collections.abc import Iterator
 from typing import Any
 
-import numpy as np
 import pytest
 import torch
 from torch import Tensor, nn
 
 from apcc_torch import APCCController, Arm, Measurement, Target, decouple
-from apcc_torch.errors import CompileError
-from apcc_torch.native import kept_program
 from apcc_torch.native.fingerprint import fingerprint
 from apcc_torch.native.function import NativeFunction
-from apcc_torch.native.program_numbers import ProgramNumbers
-from apcc_torch.native.scalars import FLOAT, Held, Scalars
-from apcc_torch.native.structure import flattened
-from apcc_torch.native.trace import traced
-from laws import generator
+from laws import generator, worst
 
 D = torch.float64
 LENGTHS = (0.105, 0.255, 0.24)
 PLACES = ("abscissae", "anchors", "lengths", "nominal")
-
-
-@pytest.fixture(autouse=True)
-def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.setenv("APCC_CACHE", str(tmp_path / "cache"))
-    return tmp_path / "cache"
-
-
-@pytest.fixture
-def counted(monkeypatch: pytest.MonkeyPatch) -> dict[str, int]:
-    """How often something was traced and built."""
-    counts = {"traced": 0, "built": 0}
-
-    def counting(name: str, function: Callable[..., Any], *args: Any, **named: Any) -> Any:
-        counts[name] += 1
-        return function(*args, **named)
-
-    monkeypatch.setattr("apcc_torch.native.function.traced", partial(counting, "traced", traced))
-    monkeypatch.setattr(kept_program, "built", partial(counting, "built", kept_program.built))
-    return counts
+pytestmark = pytest.mark.usefixtures("own_cache")
 
 
 class Spring(nn.Module):
@@ -69,11 +39,6 @@ class Spring(nn.Module):
 
 
 X = torch.tensor([0.4, -0.7], dtype=D)
-
-
-def worst(have: Any, want: Any) -> float:
-    pairs = [(a.double(), b.double()) for a, b in zip(flattened(have), flattened(want), strict=True)]
-    return max(float((a - b).abs().max() / b.abs().max().clamp(min=1.0)) for a, b in pairs if b.numel())
 
 
 def test_other_numbers_are_not_traced_again(counted: dict[str, int]) -> None:
@@ -132,72 +97,6 @@ def test_a_sum_that_is_one_to_rounding_is_no_form(counted: dict[str, int]) -> No
     assert counted == {"traced": 1, "built": 1}
 
 
-class Sees(nn.Module):
-    """Reads what it holds in some way."""
-
-    def __init__(self, how: Callable[[Tensor], Any], held: list[float]) -> None:
-        super().__init__()
-        self.register_buffer("held", torch.tensor(held, dtype=D))
-        self.how = how
-
-    def forward(self, x: Tensor) -> Tensor:
-        return x * self.how(self.held)
-
-
-def _kept(held: Tensor) -> Any:
-    return held.data[0] * list(held)[1] + len(held) + held.dim() + held.detach().contiguous().sum()
-
-
-def _forms(held: Tensor) -> Any:
-    return torch.tensor([1.5, 0.25], dtype=held.dtype).sum() * held[held.shape[0] - 1]
-
-
-def _listed(held: Tensor) -> Any:
-    return held.tolist()[0]
-
-
-def _branched(held: Tensor) -> Any:
-    return 2.0 if held.tolist()[0] > 1.0 else 3.0
-
-
-def _numpy(held: Tensor) -> Any:
-    return float(held.numpy()[0])
-
-
-def _array(held: Tensor) -> Any:
-    return float(np.asarray(held)[0])
-
-
-def _parameter(held: Tensor) -> Any:
-    return nn.Parameter(held, requires_grad=False)[0]
-
-
-def _made_anew(held: Tensor) -> Any:
-    return torch.tensor(held.tolist(), dtype=D)[0]
-
-
-def _printed(held: Tensor) -> Any:
-    return len(repr(held))
-
-
-def _pointer(held: Tensor) -> Any:
-    return ctypes.c_double.from_address(held.data_ptr()).value
-
-
-@pytest.mark.parametrize("how", [_kept, _forms])
-def test_ways_to_what_is_held(how: Callable[[Tensor], Any], counted: dict[str, int]) -> None:
-    for held in ([1.5, 2.0], [0.7, 2.25], [1.625, 2.5]):
-        module = Sees(how, held)
-        assert worst(NativeFunction(module, (X,))(X), module(X)) < 1e-15
-    assert counted == {"traced": 1, "built": 1}
-
-
-@pytest.mark.parametrize("how", [_listed, _branched, _numpy, _array, _parameter, _made_anew, _printed, _pointer])
-def test_values_that_are_read_past_torch_are_refused(how: Callable[[Tensor], Any]) -> None:
-    with pytest.raises(CompileError, match=r"it asks for the value of a tensor|it makes a tensor of one that it holds"):
-        NativeFunction(Sees(how, [1.5, 2.0]), (X,)).program(1)
-
-
 def test_one_tensor_held_twice_is_not_two() -> None:
     class Two(nn.Module):
         def __init__(self, a: Tensor, b: Tensor) -> None:
@@ -219,85 +118,6 @@ def test_what_is_changed_between_two_programs_is_seen() -> None:
     module.lengths.mul_(1.1)
     many = torch.stack((X, 0.5 * X))
     assert worst(step(many), torch.vmap(module)(many)) < 1e-15
-
-
-NUMBERS = {
-    "add": 2,
-    "sub": 2,
-    "mul": 2,
-    "div": 2,
-    "neg": 1,
-    "abs": 1,
-    "sqrt": 1,
-    "sin": 1,
-    "max": 2,
-    "min": 2,
-    "floor": 1,
-}
-TRUTHS = ("lt", "le", "eq", "ne")
-
-
-def written(choices: list[Any], values: list[float]) -> tuple[Scalars, list[int]]:
-    """The same random program on other held numbers, as a trace writes it."""
-    scalars = Scalars()
-    at = [scalars.held(value, f"1.{k}", Held(0, k)) for k, value in enumerate(values)]
-    at += [scalars.constant(value, FLOAT) for value in (0.0, 1.0, -2.5)]
-    at += [scalars.input(k, FLOAT) for k in range(2)]
-    for op, *which in choices:
-        if op == "select":
-            condition = scalars.make(which[0], at[which[1]], at[which[2]])
-            at.append(scalars.make("select", condition, at[which[3]], at[which[4]]))
-        elif op == "int":
-            at.append(scalars.make("float", scalars.make("int", at[which[0]])))
-        else:
-            at.append(scalars.make(op, *(at[k] for k in which)))
-    return scalars, at
-
-
-def random_program(rng: random.Random, held: int) -> list[Any]:
-    count, choices = held + 5, []
-    for _ in range(25):
-        kind = rng.random()
-        if kind < 0.15:
-            choices.append(["select", rng.choice(TRUTHS), *(rng.randrange(count) for _ in range(4))])
-        elif kind < 0.2:
-            choices.append(["int", rng.randrange(count)])
-        else:
-            op = rng.choice(sorted(NUMBERS))
-            choices.append([op, *(rng.randrange(count) for _ in range(NUMBERS[op]))])
-        count += 1
-    return choices
-
-
-def form(scalars: Scalars) -> str:
-    """The expressions without the numbers that are held."""
-    return repr([(*e[:3], e.value if e.op in ("constant", "input") else e.value is None) for e in scalars.expressions])
-
-
-def test_numbers_are_those_of_a_trace_or_none() -> None:
-    """On random programs: where numbers are given, tracing anew gives the same form and numbers, bit for bit."""
-    rng = random.Random(11)
-    values = (0.0, -0.0, 1.0, -2.5, 0.5, 0.3, 1e-320, 1e300, math.inf, -math.inf, math.nan)
-    fits = misses = 0
-    for _ in range(400):
-        choices = random_program(rng, 4)
-        of_first = [rng.choice((rng.uniform(-2.0, 2.0), rng.choice(values))) for _ in range(4)]
-        first, at = written(choices, of_first)
-        asked = [k for k in at if first.known(k) is not None and first[k].kind == FLOAT]
-        numbers = ProgramNumbers.of(first, asked)
-        for _ in range(6):
-            others = [rng.choice((v, v * (1.0 + 1e-12), rng.uniform(-2.0, 2.0), rng.choice(values))) for v in of_first]
-            # As the name of a module tells: the same zeros.
-            others = [v if v == 0.0 else (o if o != 0.0 else v) for v, o in zip(of_first, others, strict=True)]
-            second, at_second = written(choices, others)
-            found = numbers.values([torch.tensor(others, dtype=D)])
-            if found is not None:
-                assert at == at_second and form(first) == form(second)
-                assert repr(found) == repr([second.number(k) for k in asked])
-                fits += 1
-            else:
-                misses += 1
-    assert fits > 300 and misses > 300
 
 
 def controller_and_step(arm: Arm, **gains: Any) -> tuple[APCCController, tuple[Any, ...]]:
@@ -367,144 +187,3 @@ def test_a_second_arm_needs_no_trace(counted: dict[str, int]) -> None:
             step = NativeFunction(c, given)
             assert worst(step(*given), c(*given)) < 1e-12
     assert counted == {"traced": 1, "built": 1}
-
-
-SESSION = """
-from torch import nn
-
-class Made(nn.Module):
-    def forward(self, x):
-        return {factor} * x
-"""
-
-
-@pytest.mark.parametrize("named", [{}, {"__name__": "a_session"}])
-def test_what_a_session_made_is_traced_each_time(named: dict[str, str], folder: Path) -> None:
-    for factor in (1.3, 1.7):
-        session: dict[str, Any] = dict(named)
-        exec(SESSION.format(factor=factor), session)
-        for _ in range(2):
-            assert torch.equal(NativeFunction(session["Made"](), (X,))(X), factor * X)
-    assert not list(folder.glob("*.json")) and len(list(folder.glob("*.so"))) == 1
-
-
-MINE = """
-import torch
-from torch import nn
-import their_{n}
-from their_{n} import helped
-
-FACTOR = 1.3
-WEIGHTS = torch.tensor([0.7, 0.9]).double()
-
-class Base(nn.Module):
-    share = 0.5
-
-class Made(Base):
-    def forward(self, x):
-        return helped(x) + FACTOR * WEIGHTS * x + self.share + their_{n}.inner(x)
-"""
-THEIR = """
-def helped(x):
-    return {slope} * x
-
-def inner(x):
-    return x.sin()
-"""
-
-
-def test_code_from_elsewhere_counts_whole(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, counted: dict[str, int]
-) -> None:
-    """A helper in another file, a global, a tensor beside the class: each is told apart."""
-    monkeypatch.syspath_prepend(tmp_path)
-    made = []
-    for n, slope in enumerate((0.25, 0.75)):
-        (tmp_path / f"their_{n}.py").write_text(THEIR.format(slope=slope))
-        (tmp_path / f"mine_{n}.py").write_text(MINE.format(n=n))
-        made.append(importlib.import_module(f"mine_{n}"))
-    mine = made[0]
-
-    def right() -> None:
-        module = mine.Made()
-        assert worst(NativeFunction(module, (X,))(X), module(X)) < 1e-15
-
-    right()
-    (tmp_path / "their_0.py").write_text(THEIR.format(slope=0.75))
-    monkeypatch.setattr(mine, "helped", made[1].helped)
-    right()
-    monkeypatch.setattr(mine, "FACTOR", 1.4)
-    right()
-    assert counted["traced"] == 3
-    monkeypatch.setattr(mine, "WEIGHTS", torch.tensor([0.6, 0.8]).double())
-    right()
-    assert counted["traced"] == 3  # of a tensor the numbers are read
-
-
-def scaled_by(factor: Any) -> Callable[[Tensor], Tensor]:
-    def scaled(x: Tensor, more: float = 1.0) -> Tensor:
-        return factor * more * x
-
-    return scaled
-
-
-class Calls(nn.Module):
-    def __init__(self, function: Callable[[Tensor], Tensor]) -> None:
-        super().__init__()
-        self.function = function
-
-    def forward(self, x: Tensor) -> Tensor:
-        return self.function(x)
-
-
-class Scales:
-    def __init__(self, factor: float) -> None:
-        self.factor = factor
-
-    def of(self, x: Tensor) -> Tensor:
-        return self.factor * x
-
-
-def test_functions_count_with_what_they_hold() -> None:
-    for factor in (1.3, 1.7, torch.tensor([1.2, 1.9], dtype=D), torch.tensor([1.4, 1.8], dtype=D)):
-        ways = [scaled_by(factor), partial(torch.mul, factor), partial(scaled_by(1.1), more=factor)]
-        ways += [Scales(factor).of] if isinstance(factor, float) else []
-        for way in ways:
-            module = Calls(way)
-            assert worst(NativeFunction(module, (X,))(X), module(X)) < 1e-15
-
-
-class Describes(nn.Module):
-    """Holds a description, of which it reads some or nothing."""
-
-    def __init__(self, arm: Arm, how: Callable[[Arm], float]) -> None:
-        super().__init__()
-        self.arm, self.again, self.how = arm, [arm], how
-
-    def forward(self, x: Tensor) -> Tensor:
-        return self.how(self.again[0]) * x
-
-
-def _nothing(arm: Arm) -> float:
-    return 1.3 if isinstance(arm, Arm) else 1.7
-
-
-def _field(arm: Arm) -> float:
-    return float(arm.mass)  # type: ignore[arg-type]
-
-
-def _whole(arm: Arm) -> float:
-    return 1.3 if arm == Arm(lengths=[0.2], mass=0.4) else 1.7
-
-
-def _members(arm: Arm) -> float:
-    return float(vars(arm)["lengths"][0])
-
-
-@pytest.mark.parametrize(("how", "again"), [(_nothing, 0), (_field, 2), (_whole, 2), (_members, 2)])
-def test_settings_count_where_they_are_read(how: Callable[[Arm], float], again: int, counted: dict[str, int]) -> None:
-    for _ in range(2):
-        for arm in (Arm(lengths=[0.2], mass=0.4), Arm(lengths=[0.25], mass=0.4), Arm(lengths=[0.2], mass=0.5)):
-            module = Describes(arm, how)
-            assert worst(NativeFunction(module, (X,))(X), module(X)) < 1e-15
-    assert counted["traced"] == 1 + again
