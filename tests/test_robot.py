@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import signal
 import subprocess
-import sys
 import time
 from pathlib import Path
 
@@ -19,7 +18,7 @@ from apcc_torch.hardware.log_replay import replay
 from apcc_torch.native.function import NativeFunction
 from apcc_torch.robot_log import main as robot_log
 from commands import environment
-from started import ran
+from started import Program, ran
 
 LOCKSTEP = ("hardware=lockstep", "hardware.world.step=0.01", "plant.settle=0.5", "loop.hold=0.1", "compile=off")
 LOCKSTEP += ("figures=false",)
@@ -35,12 +34,7 @@ PATIENT = (
 def robot(folder: Path, *arguments: str, limit: int | None = None) -> subprocess.CompletedProcess[str]:
     """Runs the command to its end; `limit` is the largest file it may write, bytes."""
     given = [*arguments, f"hydra.run.dir={folder / 'run'}"]
-    if limit is None:
-        return ran("apcc_torch.robot", given, folder, environment())
-    command = ["prlimit", f"--fsize={limit}", sys.executable, "-m", "apcc_torch.robot", *given]
-    return subprocess.run(
-        command, cwd=folder, env=environment(), capture_output=True, text=True, check=False, timeout=300
-    )
+    return ran("apcc_torch.robot", given, folder, environment(), largest=limit)
 
 
 @pytest.fixture(scope="module")
@@ -158,19 +152,14 @@ def test_signals_in_real_time_hold_the_arm_and_close_the_log(
 ) -> None:
     folder = tmp_path / "run"
     hold = "loop.hold=300" if again else "loop.hold=0.2"
-    command = [
-        sys.executable, "-m", "apcc_torch.robot", "experiment=setpoint", *PATIENT, hold, "controller.K=0.01",
-        f"hydra.run.dir={folder}",
-    ]  # fmt: skip
-    with subprocess.Popen(
-        command, cwd=tmp_path, env=environment(), stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
-    ) as run:
+    given = ["experiment=setpoint", *PATIENT, hold, "controller.K=0.01", f"hydra.run.dir={folder}"]
+    with Program("apcc_torch.robot", given, tmp_path, environment()) as run:
         _wait_for(folder, "running")
         run.send_signal(number)
         if again:
             _wait_for(folder, "hold")
             run.send_signal(number)
-        told = run.communicate(timeout=120)[0]
+        told = "".join(run.communicate(120))
     assert run.returncode == code, told
     log = read_log(folder / "log.mcap")
     assert log.complete and log.events[-1]["kind"] == "end"
