@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import subprocess
-import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -27,15 +26,13 @@ from apcc_torch.identification.series import Series
 from commands import environment
 from composed import composed_evaluate
 from rod_recordings import write_recordings
+from started import ran
 
 MOTORS, FOLLOWED = "motors", "motors, load followed"
 
 
 def _evaluate(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "apcc_torch.evaluate", *arguments]
-    return subprocess.run(
-        command, cwd=folder, env=environment(), capture_output=True, text=True, check=False, timeout=300
-    )
+    return ran("apcc_torch.evaluate", arguments, folder, environment())
 
 
 def test_a_strangers_arm_from_the_command_line(tmp_path: Path) -> None:
