@@ -226,7 +226,7 @@ def test_orientations_and_motors_of_the_recorded_trunk(shared_data: Path) -> Non
     settings = composed_evaluate("data=trunk", f"data_root={shared_data}")
     sessions, rest = recordings(settings)
     # So few moments and steps are enough for these bounds.
-    blocks, fit = parameters(settings), replace(settings.fit, samples=30, steps=10, rounds=1)
+    blocks, fit = parameters(settings), replace(settings.fit, samples=60, steps=10, rounds=1)
     known = Known(settings.arm, blocks, blocks.holding(fit.geometric), rest, fit, fit.samples, 0, lambda line: None)
     sessions = [replace(session, frames=session.frames.gated(known.calibration)) for session in sessions]
     chosen = {name: METHODS[name] for name in ("most probable, arm identified", "affine through the sensors")}
