@@ -1,4 +1,4 @@
-"""Sixty seconds of a 100 Hz loop on regulators: `PYTHONPATH=tests python benchmarks/regulators.py [seconds] [rate]`.
+"""Sixty seconds of a 100 Hz loop on regulators: `PYTHONPATH=tests python benchmarks/regulators.py`.
 
 The driver talks to pymodbus's own server on loopback, in a process of its own, two units of three chambers. Every turn
 reads all pressures and commands all of them. It prints how many exchanges failed, and what a turn took.
@@ -6,6 +6,7 @@ reads all pressures and commands all of them. It prints how many exchanges faile
 
 from __future__ import annotations
 
+import argparse
 import sys
 import time
 
@@ -17,8 +18,13 @@ from apcc_torch.hardware.modbus.settings import RegulatorSettings
 from hardware.emulators.regulator.emulator import RegulatorEmulator
 
 
-def main(seconds: float = 60.0, rate: float = 100.0) -> int:
+def main() -> int:
     """Runs it; the number of failed exchanges."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seconds", type=float, default=60.0)
+    parser.add_argument("--rate", type=float, default=100.0, help="of the loop, Hz")
+    options = parser.parse_args()
+    seconds, rate = options.seconds, options.rate
     turns, failed, late = round(seconds * rate), 0, 0
     took = np.zeros(turns)
     with RegulatorEmulator({1: 3, 2: 3}) as server:
@@ -44,4 +50,4 @@ def main(seconds: float = 60.0, rate: float = 100.0) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main(*map(float, sys.argv[1:])) > 0)
+    sys.exit(main() > 0)

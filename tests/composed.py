@@ -50,7 +50,14 @@ def raw(*overrides: str) -> DictConfig:
 
 
 def composed(*overrides: str) -> SimulateSettings:
-    """The settings as the experiments take them."""
+    """The settings as the experiments take them; those in which no file takes part are composed once."""
+    if any("/" in word or word.endswith(".yaml") for word in overrides):
+        return typed(raw(*overrides), SimulateSettings)
+    return _composed(*overrides)
+
+
+@cache
+def _composed(*overrides: str) -> SimulateSettings:
     return typed(raw(*overrides), SimulateSettings)
 
 

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
-import subprocess
 import sys
 from contextlib import suppress
 from pathlib import Path
@@ -15,8 +13,9 @@ from omegaconf import OmegaConf
 
 from apcc_torch.benchmark import main
 from apcc_torch.paper.figures import NUMBERED
+from commands import environment
+from started import ran
 
-ROOT = Path(__file__).resolve().parents[1]
 RUN_2 = (
     "~grid.comparisons.B", "~grid.comparisons.C",
     "~grid.comparisons.A.runs.run_1", "~grid.comparisons.A.runs.robot_2",
@@ -29,13 +28,11 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     """The folder of a very short benchmark of run II alone, and what the program printed."""
     folder = tmp_path_factory.mktemp("benchmark")
     quick = '["controller.rate=20","plant.settle=0.1","plant.substeps=2"]'
-    env = os.environ | {"PYTHONPATH": os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])}
-    command = [
-        sys.executable, "-m", "apcc_torch.benchmark", "grid=small", "grid.duration=0.2", "hydra.run.dir=out",
-        *RUN_2,
+    words = [
+        "grid=small", "grid.duration=0.2", "hydra.run.dir=out", *RUN_2,
         f"experiments.common={quick}", 'experiments.adaptive=["adaptation=normalised"]',
     ]  # fmt: skip
-    done = subprocess.run(command, cwd=folder, env=env, capture_output=True, text=True, check=False, timeout=300)
+    done = ran("apcc_torch.benchmark", words, folder, environment())
     assert done.returncode == 0, done.stderr
     return folder / "out", done.stdout
 

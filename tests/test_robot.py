@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import signal
 import subprocess
-import sys
 import time
 from pathlib import Path
 
@@ -19,10 +18,10 @@ from apcc_torch.hardware.log_replay import replay
 from apcc_torch.native.function import NativeFunction
 from apcc_torch.robot_log import main as robot_log
 from commands import environment
-from started import ran
+from started import Program, ran
 
 LOCKSTEP = ("hardware=lockstep", "hardware.world.step=0.01", "plant.settle=0.5", "loop.hold=0.1", "compile=off")
-LOCKSTEP += ("figures=false",)
+LOCKSTEP += ("figures=false", "controller.K=3.0")  # it arrives sooner
 # A busy machine may starve the loop and the arm: these runs are about how they end, not about time.
 PATIENT = (
     "loop.rate=20", "loop.warm_up=5", "loop.fresh_timeout=60", "loop.fresh_frames=1", "loop.hold=0.2",
@@ -35,12 +34,7 @@ PATIENT = (
 def robot(folder: Path, *arguments: str, limit: int | None = None) -> subprocess.CompletedProcess[str]:
     """Runs the command to its end; `limit` is the largest file it may write, bytes."""
     given = [*arguments, f"hydra.run.dir={folder / 'run'}"]
-    if limit is None:
-        return ran("apcc_torch.robot", given, folder, environment())
-    command = ["prlimit", f"--fsize={limit}", sys.executable, "-m", "apcc_torch.robot", *given]
-    return subprocess.run(
-        command, cwd=folder, env=environment(), capture_output=True, text=True, check=False, timeout=300
-    )
+    return ran("apcc_torch.robot", given, folder, environment(), largest=limit)
 
 
 @pytest.fixture(scope="module")
@@ -89,7 +83,7 @@ def test_other_settings_replay_to_other_commands(
     finished: tuple[Path, str], tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     record = read_log(finished[0] / "log.mcap")
-    record.attachments["config.yaml"] = record.attachments["config.yaml"].replace("K: 1.5", "K: 1.4")
+    record.attachments["config.yaml"] = record.attachments["config.yaml"].replace("K: 3.0", "K: 2.9")
     monkeypatch.setattr("apcc_torch.robot_log.read_log", lambda path: record)
     assert robot_log(["replay", "log.mcap"]) == 1
     assert "not the same" in capsys.readouterr().out
@@ -158,19 +152,14 @@ def test_signals_in_real_time_hold_the_arm_and_close_the_log(
 ) -> None:
     folder = tmp_path / "run"
     hold = "loop.hold=300" if again else "loop.hold=0.2"
-    command = [
-        sys.executable, "-m", "apcc_torch.robot", "experiment=setpoint", *PATIENT, hold, "controller.K=0.01",
-        f"hydra.run.dir={folder}",
-    ]  # fmt: skip
-    with subprocess.Popen(
-        command, cwd=tmp_path, env=environment(), stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
-    ) as run:
+    given = ["experiment=setpoint", *PATIENT, hold, "controller.K=0.01", f"hydra.run.dir={folder}"]
+    with Program("apcc_torch.robot", given, tmp_path, environment()) as run:
         _wait_for(folder, "running")
         run.send_signal(number)
         if again:
             _wait_for(folder, "hold")
             run.send_signal(number)
-        told = run.communicate(timeout=120)[0]
+        told = "".join(run.communicate(120))
     assert run.returncode == code, told
     log = read_log(folder / "log.mcap")
     assert log.complete and log.events[-1]["kind"] == "end"

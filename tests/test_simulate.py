@@ -14,6 +14,7 @@ import pytest
 import commands
 from apcc_torch.conf_path import conf_path
 from apcc_torch.simulate import EXPERIMENTS
+from started import ran
 
 HELP_GROUPS = ("experiment", "state", "arm", "model", "plant", "sensors", "feedback", "pose_filter", "adaptation")
 HELP_GROUPS += ("dynamics_law", "sweep", "hydra/launcher")
@@ -122,8 +123,7 @@ def test_the_shell_completes_names(tmp_path: Path) -> None:
         "apcc-simulate experiment=kinematic controller.n": {"controller.null_step=", "controller.null_gain="},
     }.items():
         env = commands.environment() | {"COMP_LINE": line, "COMP_POINT": str(len(line))}
-        asked = commands.command("-sc", "query=bash")
-        done = subprocess.run(asked, cwd=tmp_path, env=env, capture_output=True, text=True, check=False, timeout=300)
+        done = ran("apcc_torch.simulate", ["-sc", "query=bash"], tmp_path, env)
         assert wanted <= set(done.stdout.split()), done.stdout + done.stderr
 
 

@@ -40,7 +40,12 @@ PROPORTIONAL: dict[str, Callable[[Arm], float]] = {
 
 def _pace(arm: Arm) -> float:
     """How fast an arm may be driven beside arm 1: a slow one as it swings, none faster, for sensors are no faster."""
-    return min(arm_scale.rate(arm) / arm_scale.rate(_named("arm_1")), 1.0)
+    return min(arm_scale.rate(arm) / _rate(), 1.0)
+
+
+@cache
+def _rate() -> float:
+    return arm_scale.rate(_named("arm_1"))
 
 
 def in_proportion(values: dict[str, Any], root: type[Settings]) -> dict[str, Any]:
@@ -56,6 +61,7 @@ def in_proportion(values: dict[str, Any], root: type[Settings]) -> dict[str, Any
     if not isinstance(values.get("arm"), Mapping):
         return values
     arm: list[Arm] = []  # read once it is needed
+    sizes: dict[str, float] = {}  # of that arm, by unit
     refusals = Checks()
 
     def scaled(key: str, about: About, value: list[Any], default: Any) -> Any:
@@ -64,9 +70,10 @@ def in_proportion(values: dict[str, Any], root: type[Settings]) -> dict[str, Any
         if not arm:
             with refusals.one():
                 arm.append(read(values["arm"], Arm, "arm"))
-        of = PROPORTIONAL[about.unit]
+        if arm and about.unit not in sizes:
+            sizes[about.unit] = PROPORTIONAL[about.unit](arm[0])
         # What is no arm is refused where all is read, with whatever else does not fit.
-        ratio = 1.0 if refusals.errors else of(arm[0]) / of(_named(value[0].removeprefix(HEAD).strip()))
+        ratio = 1.0 if refusals.errors else sizes[about.unit] / _size(value[0].removeprefix(HEAD).strip(), about.unit)
         numbers = value[1:]
         if not numbers:
             return _times(plain(default), ratio)
@@ -101,6 +108,11 @@ def _kind(value: Mapping[str, Any], kind: type[Settings], name: str, key: str) -
 @cache
 def _named(name: str) -> Arm:
     return Arm.load(name)
+
+
+@cache
+def _size(name: str, unit: str) -> float:
+    return PROPORTIONAL[unit](_named(name))
 
 
 def _is_number(numbers: list[Any]) -> bool:

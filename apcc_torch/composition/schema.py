@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import re
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
@@ -21,7 +21,7 @@ from apcc_torch.conf_path import conf_path
 from apcc_torch.errors import ApccError, Checks, ConfigError, DataError, in_a_line, one_sentence
 from apcc_torch.files import yaml_in
 from apcc_torch.plain_text import for_terminal
-from apcc_torch.reading import check_key, defaults, nested_in, plain, read
+from apcc_torch.reading import MUST, check_key, defaults, nested_in, plain, read
 from apcc_torch.settings import Settings, about_of, close, default_of, did_you_mean, keys
 
 Root = TypeVar("Root", bound=Settings)
@@ -166,12 +166,18 @@ def values_of(cfg: DictConfig) -> dict[str, Any]:
         ConfigError: A value refers to what there is not.
     """
     try:
-        values = OmegaConf.to_container(OmegaConf.masked_copy(cfg, [str(k) for k in cfg if k != "hydra"]), resolve=True)
+        return {str(key): _value(cfg, key) for key in cfg if key != "hydra"}
     except OmegaConfBaseException as error:
         at = f"{error.full_key}: " if getattr(error, "full_key", None) else ""
         raise ConfigError(f"{at}{sentence(error)}") from error
-    assert isinstance(values, Mapping)  # of a DictConfig
-    return {str(key): value for key, value in values.items()}
+
+
+def _value(cfg: DictConfig, key: Any) -> Any:
+    """A plain value, or `MUST` where it is still to be given."""
+    if OmegaConf.is_missing(cfg, key):
+        return MUST
+    value = cfg[key]
+    return OmegaConf.to_container(value, resolve=True) if OmegaConf.is_config(value) else value
 
 
 def typed(cfg: DictConfig, root: type[Root]) -> Root:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import subprocess
-import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -27,15 +26,13 @@ from apcc_torch.identification.series import Series
 from commands import environment
 from composed import composed_evaluate
 from rod_recordings import write_recordings
+from started import ran
 
 MOTORS, FOLLOWED = "motors", "motors, load followed"
 
 
 def _evaluate(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "apcc_torch.evaluate", *arguments]
-    return subprocess.run(
-        command, cwd=folder, env=environment(), capture_output=True, text=True, check=False, timeout=300
-    )
+    return ran("apcc_torch.evaluate", arguments, folder, environment())
 
 
 def test_a_strangers_arm_from_the_command_line(tmp_path: Path) -> None:
@@ -228,7 +225,8 @@ def test_orientations_and_motors_of_the_recorded_trunk(shared_data: Path) -> Non
     """What is learned weighs shown bodies, their orientations and motors well beyond what it was learned on."""
     settings = composed_evaluate("data=trunk", f"data_root={shared_data}")
     sessions, rest = recordings(settings)
-    blocks, fit = parameters(settings), settings.fit
+    # So few moments and steps are enough for these bounds.
+    blocks, fit = parameters(settings), replace(settings.fit, samples=60, steps=10, rounds=1)
     known = Known(settings.arm, blocks, blocks.holding(fit.geometric), rest, fit, fit.samples, 0, lambda line: None)
     sessions = [replace(session, frames=session.frames.gated(known.calibration)) for session in sessions]
     chosen = {name: METHODS[name] for name in ("most probable, arm identified", "affine through the sensors")}

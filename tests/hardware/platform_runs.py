@@ -2,24 +2,21 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
 import time
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
-import apcc_torch
 from apcc_torch.composition.realtime import RealtimeSettings
 from apcc_torch.experiments import calibrate as arm_calibration
 from apcc_torch.hardware.stops import StopReason
+from commands import environment
 from composed import composed_realtime
 from hardware.emulators.kinds import MOTORS
 from hardware.emulators.rig import EmulatedPlatform
+from started import Program
 
-ROOT = Path(apcc_torch.__file__).resolve().parents[1]
 # A busy machine may starve the loop: these runs are about how they end.
 PATIENT = (
     "loop.warm_up=5", "loop.fresh_timeout=60", "loop.fresh_frames=2", "loop.hold=0.2", "guards.overruns=100000",
@@ -54,14 +51,10 @@ def arguments(platform: EmulatedPlatform, calibration: Path, *more: str) -> list
     return ["experiment=setpoint", *platform.overrides, *PATIENT, f"calibration.file={calibration}", *more]
 
 
-def program(platform: EmulatedPlatform, calibration: Path, *more: str) -> subprocess.Popen[str]:
+def program(platform: EmulatedPlatform, calibration: Path, *more: str) -> Program:
     """The program in a process of its own; its folder is `run` beside the calibration."""
-    env = os.environ | {"PYTHONPATH": os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])}
-    command = [sys.executable, "-m", "apcc_torch.robot", *arguments(platform, calibration, *more)]
-    command.append(f"hydra.run.dir={calibration.parent / 'run'}")
-    return subprocess.Popen(
-        command, cwd=calibration.parent, env=env, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
-    )
+    given = [*arguments(platform, calibration, *more), f"hydra.run.dir={calibration.parent / 'run'}"]
+    return Program("apcc_torch.robot", given, calibration.parent, environment())
 
 
 def until(condition: Callable[[], bool]) -> None:

@@ -215,7 +215,7 @@ def test_a_disk_that_fills_up(scene: Scene) -> None:
         until(lambda: logged(scene.folder, "running") and moving(scene.platform))
         size = (scene.folder / "log.mcap").stat().st_size
         resource.prlimit(run.pid, resource.RLIMIT_FSIZE, (size, size))  # the log can grow no more
-        told = run.communicate(timeout=DEADLINE)[0]
+        told = "".join(run.communicate(DEADLINE))
     assert run.returncode == 60 and "log_failed: the log cannot be written" in told, told
     assert "Traceback" not in told
     check_log(scene.folder, fault)
@@ -231,7 +231,7 @@ def test_a_process_that_is_stopped_and_goes_on(scene: Scene) -> None:
         run.send_signal(signal.SIGSTOP)
         time.sleep(1.7)
         run.send_signal(signal.SIGCONT)
-        told = run.communicate(timeout=DEADLINE)[0]
+        told = "".join(run.communicate(DEADLINE))
     assert run.returncode == 51 and "paused: the loop stood still for" in told, told
     check_log(scene.folder, fault)
     check_motors(scene.platform, fault, {})
@@ -244,7 +244,7 @@ def test_kill_9(scene: Scene) -> None:
     with program(scene.platform, scene.calibration, SLOW) as run:
         until(lambda: logged(scene.folder, "running") and ticks_on_disk(scene.folder) > 1 and moving(scene.platform))
         run.kill()
-        run.wait(timeout=DEADLINE)
+        run.wait(DEADLINE)
     until(lambda: all(motor["tripped"] for motor in scene.platform.servos.report().values()))
     first = scene.platform.servos.report()
     time.sleep(0.3)

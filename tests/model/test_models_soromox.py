@@ -83,7 +83,8 @@ def test_affine_curvature() -> None:
     # Legendre polynomials of order 1, 1 and 2 s - 1, about its y and z, and a constant stretch along its x.
     basis = StrainBasisSpec("legendre", ("kappa_y", "kappa_z", "sigma_x"), [0, 1, 1, 0, 0, 0])
     segments = [GVSSegment(link, JointSpec.fixed(), basis, 40) for link in links()]
-    theirs = GVS.from_segments(segments)
+    with jax.disable_jit():  # its loops run once each: building them takes longer
+        theirs = GVS.from_segments(segments)
     model = AffineBackbone(3, rods=40)
     # omega about our x is (-theta_y, -sigma_y), about our y (theta_x, sigma_x): their y and z.
     block = torch.tensor(

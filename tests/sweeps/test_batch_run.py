@@ -7,8 +7,6 @@ import itertools
 import json
 import os
 import signal
-import subprocess
-import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -22,7 +20,9 @@ from apcc_torch.errors import ApccError, ConfigError
 from apcc_torch.experiments.run import run as run_one
 from apcc_torch.sweeps import batch_chunk
 from apcc_torch.sweeps import batch_run as batch
+from commands import environment, simulate
 from composed import changed
+from started import Program
 
 QUICK = ("controller.rate=50", "figures=false", "progress=false")
 KINEMATIC = ("experiment.duration=0.2", *QUICK)
@@ -43,6 +43,13 @@ def product(experiment: str, base: Sequence[str], **axes: Sequence[str]) -> list
         )
         for i, values in enumerate(itertools.product(*axes.values()))
     ]
+
+
+def gains(experiment: str, base: Sequence[str], count: int) -> list[Point]:
+    """So many points that differ in the controller's gain."""
+    one = changed(experiment, *base)
+    given = [one.changed(controller=one.controller.changed(K=float(k))) for k in range(1, count + 1)]
+    return [Point(i, {"controller.K": str(i + 1)}, config) for i, config in enumerate(given)]
 
 
 def table(folder: Path) -> list[dict[str, str]]:
@@ -177,7 +184,7 @@ def test_a_point_that_diverges_is_last(tmp_path: Path) -> None:
 
 
 def test_chunks_fit_into_memory_and_are_shared_out() -> None:
-    points = product("kinematic", KINEMATIC, controller__K=[str(k) for k in range(1, 201)])
+    points = gains("kinematic", KINEMATIC, 200)
     rows, mib = batch.point_mib(points[0].config)
     assert rows == 1
     few = list(batch.chunks(points, base(f"batch_memory_mib={int(20 * mib) + 1}")))
@@ -185,7 +192,7 @@ def test_chunks_fit_into_memory_and_are_shared_out() -> None:
     shared = list(batch.chunks(points, base("batch_workers=2")))
     assert [len(chunk) for chunk in shared] == [100, 100]
     assert len(list(batch.chunks(points[:9], base("batch_workers=2")))) == 1
-    many = product("dynamic_run_2", (), controller__K=[str(k) for k in range(1, 41)])
+    many = gains("dynamic_run_2", (), 40)
     assert batch.point_mib(many[0].config)[0] == 30
     assert max(map(len, batch.chunks(many, base()))) <= batch.FASTEST_ROWS // 30
 
@@ -251,19 +258,19 @@ def test_a_replay_is_no_batch(tmp_path: Path) -> None:
 
 def test_killed_and_resumed_nothing_is_lost(tmp_path: Path) -> None:
     """The program as a user runs it, over two processes, killed after its first chunk."""
-    command = [
-        *(sys.executable, "-m", "apcc_torch.simulate", f"hydra.run.dir={tmp_path / 'run'}", "experiment=kinematic"),
+    words = [
+        *(f"hydra.run.dir={tmp_path / 'run'}", "experiment=kinematic"),
         *("experiment.duration=0.4", "figures=false", "batch_kept=2", "batch_memory_mib=8", "--batch"),
         *("controller.K=range(1,13)", "feedback=pose,position"),
     ]
-    with subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.DEVNULL, start_new_session=True) as process:
+    with Program("apcc_torch.simulate", words, tmp_path, environment(), session=True) as process:
         deadline = time.monotonic() + 120
         while not list(tmp_path.glob("run/.batch_*/from_*.json")) and time.monotonic() < deadline:
             time.sleep(0.05)
         os.killpg(process.pid, signal.SIGKILL)
     finished = {path.name: path.read_bytes() for path in tmp_path.glob("run/.batch_*/from_*.json")}
     assert finished and not (tmp_path / "run" / "metrics.json").exists()
-    done = subprocess.run([*command, "resume=true"], cwd=tmp_path, capture_output=True, text=True, check=False)
+    done = simulate(tmp_path, *words, "resume=true")
     assert done.returncode == 0, done.stderr
     rows = table(tmp_path / "run")
     assert [int(row["point"]) for row in rows] == list(range(24)) and "are there already" in done.stdout

@@ -9,7 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from commands import ONE_BY_ONE, QUICK, command, environment, jobs, simulate
+from commands import ONE_BY_ONE, QUICK, environment, jobs, simulate
+from started import ran
 
 RAY = {"RAY_worker_niceness": "0"}
 """Ray gives way to all else, by a niceness of 15: beside other busy tests its jobs would stand for minutes."""
@@ -108,15 +109,8 @@ def test_the_slurm_launcher_asks_for_what_its_config_says(tmp_path: Path) -> Non
         "hydra.launcher.mem_gb=3",
         "hydra.launcher.array_parallelism=2",
     )
-    done = subprocess.run(
-        command(*SWEEP, "hydra/launcher=submitit_slurm", *wanted_of_slurm),
-        cwd=tmp_path,
-        env=environment() | {"PATH": f"{tools}{os.pathsep}{os.environ['PATH']}"},
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=300,
-    )
+    env = environment() | {"PATH": f"{tools}{os.pathsep}{os.environ['PATH']}"}
+    done = ran("apcc_torch.simulate", [*SWEEP, "hydra/launcher=submitit_slurm", *wanted_of_slurm], tmp_path, env)
     asked = (tmp_path / "asked.sh").read_text()
     for line in (
         "--array=0-1%2",

@@ -5,13 +5,13 @@ from __future__ import annotations
 import json
 import os
 import signal
-import subprocess
 import time
 from pathlib import Path
 
 import pytest
 
-from commands import ONE_BY_ONE, QUICK, children, command, environment, jobs, simulate
+from commands import ONE_BY_ONE, QUICK, children, environment, jobs, simulate
+from started import Program
 
 KEYS = ("-m", *QUICK, "experiment.duration=2", "velocity_filter.window=5,9,15,25,45", "hydra.sweep.dir=sweep")
 
@@ -30,29 +30,17 @@ def finished(sweep: Path) -> int:
     return len(list(sweep.glob("[0-9]*/job.json")))
 
 
-def killed_in_the_middle(cwd: Path, *arguments: str, after: int) -> subprocess.Popen[str]:
+def killed_in_the_middle(cwd: Path, *arguments: str, after: int) -> None:
     """Starts a sweep and kills its whole process group while a job runs, once `after` jobs have ended."""
-    process = subprocess.Popen(
-        command(*arguments),
-        cwd=cwd,
-        env=environment(),
-        start_new_session=True,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-    )
     deadline = time.monotonic() + 240.0
     sweep = cwd / "sweep"
-    try:
+    with Program("apcc_torch.simulate", arguments, cwd, environment(), session=True) as process:
         while time.monotonic() < deadline and process.poll() is None:
             if finished(sweep) >= after and list(sweep.glob(".*.draft/progress.json")):
+                os.killpg(process.pid, signal.SIGKILL)
                 break
             time.sleep(0.01)
-    finally:
-        os.killpg(process.pid, signal.SIGKILL)
-        process.wait()
-    assert process.returncode == -signal.SIGKILL, "the sweep ended before it could be killed"
-    return process
+        assert process.wait() == -signal.SIGKILL, "the sweep ended before it could be killed"
 
 
 @pytest.mark.parametrize("launcher", ["basic", "joblib"])
@@ -76,22 +64,16 @@ def test_a_killed_sweep_goes_on(tmp_path: Path, launcher: str) -> None:
 
 def test_a_killed_job_is_named_and_the_others_go_on(tmp_path: Path) -> None:
     sweep = tmp_path / "sweep"
-    process = subprocess.Popen(
-        command(*KEYS, ONE_BY_ONE, "velocity_filter.window=5,9"),
-        cwd=tmp_path,
-        env=environment(),
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-    )
-    victim = None
-    deadline = time.monotonic() + 240.0
-    while victim is None and process.poll() is None and time.monotonic() < deadline:
-        victim = worker_of(process.pid) if list(sweep.glob(".0.*.draft/progress.json")) else None
-        time.sleep(0.01)
-    assert victim is not None
-    os.kill(victim, signal.SIGKILL)
-    told, _ = process.communicate(timeout=240)
+    words = [*KEYS, ONE_BY_ONE, "velocity_filter.window=5,9"]
+    with Program("apcc_torch.simulate", words, tmp_path, environment()) as process:
+        victim = None
+        deadline = time.monotonic() + 240.0
+        while victim is None and process.poll() is None and time.monotonic() < deadline:
+            victim = worker_of(process.pid) if list(sweep.glob(".0.*.draft/progress.json")) else None
+            time.sleep(0.01)
+        assert victim is not None
+        os.kill(victim, signal.SIGKILL)
+        told = "".join(process.communicate(240))
     assert process.returncode == 1
     assert "failed: 0.failed, velocity_filter.window=5: killed by SIGKILL" in told
     assert set(jobs(sweep)) == {"velocity_filter.window=9"}

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import shlex
 import signal
-import subprocess
 import sys
 import time
 from collections.abc import Iterator
@@ -18,6 +17,7 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from apcc_torch import simulate
 from apcc_torch.sweeps.claim import dir_override
 from commands import ONE_BY_ONE, QUICK, command, descendants, environment
+from started import Program
 
 FOLDER = "a [sweep] of 'K' * 2"
 KEYS = ("-m", *QUICK, "experiment.duration=600", "adaptation.gain_scale=0.5,1.0")
@@ -25,20 +25,16 @@ JOBLIB = "hydra/launcher=joblib"
 
 
 @contextmanager
-def running(cwd: Path, *arguments: str) -> Iterator[subprocess.Popen[bytes]]:
-    """A sweep whose jobs run, in a session of its own; what it says is in the file `told`."""
-    words = command(*KEYS, *arguments, dir_override("hydra.sweep.dir", Path(FOLDER)))
-    with (cwd / "told").open("wb") as out:
-        process = subprocess.Popen(words, cwd=cwd, env=environment(), stdout=out, stderr=out, start_new_session=True)
-    try:
+def running(cwd: Path, *arguments: str) -> Iterator[Program]:
+    """A sweep whose jobs run, in a session of its own."""
+    words = [*KEYS, *arguments, dir_override("hydra.sweep.dir", Path(FOLDER))]
+    with Program("apcc_torch.simulate", words, cwd, environment(), session=True) as process:
         deadline = time.monotonic() + 300.0
         while not list(cwd.glob("a*/.*.draft/progress.json")):
-            assert process.poll() is None and time.monotonic() < deadline, (cwd / "told").read_text()
+            assert process.poll() is None, process.communicate()
+            assert time.monotonic() < deadline
             time.sleep(0.05)
         yield process
-    finally:
-        process.kill()
-        process.wait()
 
 
 def test_a_stopped_sweep_says_how_to_go_on(
@@ -56,7 +52,7 @@ def test_a_stopped_sweep_says_how_to_go_on(
         assert drafts <= {path.name for path in sweep.glob(".*.draft")}, "the other's drafts are left alone"
         os.killpg(process.pid, signal.SIGINT)  # as a terminal does
         assert process.wait(120) == 130
-    _, stopped, resume = (tmp_path / "told").read_text().splitlines()
+        _, stopped, resume = "".join(process.communicate()).splitlines()
     assert stopped.endswith(f"stopped by Ctrl-C: 0 of 2 jobs are finished in {sweep}")
     words = shlex.split(resume.partition("is missing: ")[2])
     assert words[:-2] == [*command(*KEYS), ONE_BY_ONE] and words[-2] == "resume=true"
