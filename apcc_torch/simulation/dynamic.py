@@ -14,6 +14,7 @@ from torch import Tensor
 
 from apcc_torch.control.composite_controller import CompositeController, CompositeState
 from apcc_torch.control.controller import APCCController
+from apcc_torch.control.lookahead_controller import LookaheadController
 from apcc_torch.control.pid import TendonReference, ramp
 from apcc_torch.control.step_io import ControllerState, Measurement
 from apcc_torch.control.trajectory import Trajectory
@@ -294,6 +295,7 @@ def simulate_dynamic(
     loop = ClosedLoop(plant, controller, sensors, trajectory, period, abscissae, curvature_places)
     _, time, k, _ = example = loop.blank()
     step = compiled(loop, example, settings.compile, plant.payload.numel())
+    ahead = controller.rollouts(settings.compile, plant.payload.numel()) if isinstance(controller, LookaheadController) else None
     arm = plant.settled(plant.settle, period / plant.substeps, settings.compile, settings.checkpointed)
     now = loop.start(arm, pi_hat, generator)
     poses = now.sensors.queue[..., 0, :, :, :]
@@ -304,6 +306,8 @@ def simulate_dynamic(
     def one(now: LoopState, time: Tensor, k: Tensor, draws: Draws) -> tuple[LoopState, tuple[Tensor, ...]]:
         before = now
         now, row = step(now, time, k, draws)
+        if ahead is not None and isinstance(controller, LookaheadController):
+            now = now._replace(controller=controller.look_ahead(now.controller, trajectory(time), ahead))
         return now, (time, *row, estimated(before))
 
     steps = round(settings.duration * settings.control_rate) + 1

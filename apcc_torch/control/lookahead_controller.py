@@ -1,0 +1,206 @@
+"""The A-PCC controller with a look ahead: Eq. (16), and a departure from it where a rollout says that this is better."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, Self
+
+import torch
+from torch import Tensor
+
+from apcc_torch.control.ahead import Ahead, AheadStatus
+from apcc_torch.control.bounds import RateBounds
+from apcc_torch.control.control_settings import ControllerSettings, ControlSettings
+from apcc_torch.control.controller import APCCController
+from apcc_torch.control.lookahead import Lookahead
+from apcc_torch.control.lookahead_settings import LookaheadSettings
+from apcc_torch.control.obstacles import Obstacle
+from apcc_torch.control.predicted_loop import Outlook, Predicted, PredictedLoop
+from apcc_torch.control.step_io import Command, ControllerState, Measurement, Target, elapsed
+from apcc_torch.errors import ConfigError
+from apcc_torch.estimation.feedback import FeedbackStatus
+from apcc_torch.estimation.momentum_observer import MomentumObserver, ObserverState
+from apcc_torch.model.arm import Arm
+from apcc_torch.model.backbone import PCCBackbone
+from apcc_torch.model.dynamics import SoftArmDynamics
+from apcc_torch.model.kinematic_model import Placed
+from apcc_torch.native.compiled import Step, compiled
+from apcc_torch.part import row_tensors
+
+
+class LookaheadController(APCCController):
+    """`APCCController` whose command may depart from Eq. (16), as a look ahead said after the step before.
+
+    A step takes no longer for it: `forward` uses the departure that waits in the state, if there is one, and
+    `look_ahead` finds the next while the arm moves. A state that was not looked ahead from, because a deadline was near,
+    steps as Eq. (16) alone; `state.ahead.status` says which it was.
+
+    Args:
+        *parts: As in `APCCController`; with a routing, and a model of constant-curvature sections.
+        dynamics: The arm, of as many sections.
+        lookahead: How to look ahead.
+        obstacles: To be kept clear of, beside the settings' own.
+        **settings: As in `APCCController`.
+
+    Raises:
+        ConfigError: There is no routing, or the model is none of constant-curvature sections, or the arm has chambers, or
+            settings differ from row to row.
+    """
+
+    def __init__(
+        self,
+        *parts: Any,
+        dynamics: SoftArmDynamics,
+        lookahead: LookaheadSettings | None = None,
+        obstacles: Sequence[Obstacle] = (),
+        **settings: Any,
+    ) -> None:
+        super().__init__(*parts, **settings)
+        s = LookaheadSettings() if lookahead is None else lookahead
+        if self.routing is None:
+            raise ConfigError("a look ahead needs a tendon routing")
+        if self.pressure is not None:
+            raise ConfigError("a look ahead predicts tendons: arm.chambers must be null, or lookahead none")
+        if not isinstance(self.backbone, PCCBackbone):
+            raise ConfigError("a look ahead needs a model of constant-curvature sections, model=pcc")
+        own: Any = self.settings
+        assert isinstance(own, ControllerSettings)
+        model = self.backbone, self.inverse_kinematics, dynamics, self.routing
+        self.lookahead = Lookahead(PredictedLoop(*model, s, obstacles=obstacles, controller=own), s)
+        self.observer = MomentumObserver(dynamics, self.routing, s.observer_gain, s.tendon_damping + s.K_D)
+        if row_tensors(self.lookahead):
+            raise ConfigError("a look ahead has one model for all rows: its settings and the controller's must be too")
+
+    @classmethod
+    def on(cls, arm: Arm, control: ControlSettings, nominal: Tensor | None = None, **parts: Any) -> Self:
+        """See `APCCController.on`."""
+        return super().on(arm, control, nominal, dynamics=arm.dynamics(), lookahead=control.lookahead, **parts)
+
+    def initial_state(self, q: Tensor, pi_hat: Tensor, time: Tensor | None = None) -> ControllerState:
+        """See `APCCController.initial_state`."""
+        state = super().initial_state(q, pi_hat, time)
+        zero, own = torch.zeros_like(state.q_bar[..., 0]), self._built(state)
+        none = torch.zeros_like(zero, dtype=torch.int64)
+        knots = zero[..., None, None].expand(*zero.shape, self.lookahead.knots, 3 + self.backbone.n)
+        y = self.tendons(state.q_d, state.pi_hat)
+        assert y is not None  # there is a routing
+        x = self.backbone.tip(state.q_bar, state.pi_hat)
+        observer = self.observer.initial_state(own)
+        return state._replace(
+            ahead=Ahead(knots, zero, none, none, none, own, torch.zeros_like(own), state.pi_hat, x, y, torch.zeros_like(y), torch.zeros_like(y), observer, zero)
+        )
+
+    def forward(
+        self, state: ControllerState, measurement: Measurement, target: Target
+    ) -> tuple[ControllerState, Command]:
+        """One control step; see `APCCController.forward`."""
+        later, command = super().forward(state, measurement, target)
+        ahead = state.ahead
+        assert ahead is not None and command.y is not None  # of `initial_state`, and there is a routing
+        dt = elapsed(state.time, measurement.time, self.integration_limit, later.q_bar)
+        valid = (command.feedback.status != int(FeedbackStatus.INVALID)) & (dt > 0)
+        q, x = self._built(later, state.pi_hat), target.x_d - command.e
+        rate, observer, payload, u = self._seen(ahead, q, dt)
+        kept = {
+            "q": (q, ahead.q), "rate": (rate, ahead.rate), "x": (x, ahead.x), "pi_hat": (state.pi_hat, ahead.pi_hat), "payload": (payload, ahead.payload), "u": (u, ahead.u)
+        }  # fmt: skip
+        moved = {name: _where(valid, *pair) for name, pair in kept.items()}
+        seen = type(observer)(*(_where(valid, *pair) for pair in zip(observer, ahead.observer, strict=True)))
+        none = torch.zeros_like(ahead.next)
+        # The next period is as long as this one, so fast the command moves in it.
+        ydot = (command.y - ahead.y) / dt.clamp(min=1e-3).unsqueeze(-1)
+        return later._replace(
+            ahead=Ahead(
+                ahead.knots, ahead.age + dt, ahead.next, none, ahead.number, **moved, y=command.y, ydot=ydot, observer=seen
+            )
+        ), command
+
+    def look_ahead(self, state: ControllerState, target: Target, run: Step | None = None) -> ControllerState:
+        """The state with a departure from Eq. (16) for its next step.
+
+        Args:
+            state: From `forward`.
+            target: That it aimed at.
+            run: From `rollouts`; None to roll out eagerly.
+        """
+        ahead, look = state.ahead, self.lookahead
+        assert ahead is not None  # of `initial_state`
+        zero = torch.zeros_like(ahead.age)
+        seen = self._lengthened(state.q_bar, ahead.pi_hat) - ahead.q
+        seen = seen - self._lengthened(torch.zeros_like(seen), state.pi_hat)
+        off = ahead.x - self.backbone.tip(ahead.q + seen, state.pi_hat)
+        z = torch.zeros_like(off) if state.integral is None else state.integral
+        d = ahead.observer.r - ahead.payload.unsqueeze(-1) * self._weight(ahead.q)
+        x_d, xdot_d = (each.expand_as(off) for each in (target.x_d, target.xdot_d))
+        pi = self.driven_lengths(state.pi_hat)
+        outlook = Outlook(x_d, xdot_d, x_d - ahead.x, z, off, state.pi_hat, seen, pi.expand_as(state.pi_hat), ahead.payload, d)
+        now = Predicted(ahead.q, ahead.rate, state.q_d, ahead.y, zero, zero)
+        way = look(now, outlook, look.shifted(ahead.knots, ahead.age), ahead.number, run)
+        return state._replace(
+            ahead=ahead._replace(knots=way.knots, age=zero, next=way.status, number=ahead.number + 1)
+        )
+
+    def rollouts(self, compile: str, rows: int = 1) -> Step:
+        """The steps of `look_ahead`'s model for so many rows, run as `native.compiled` says."""
+        look = self.lookahead
+        return compiled(look.loop, look.loop.blank(look.knots), compile, rows * look.samples, carries=True)
+
+    def _solve(
+        self,
+        state: ControllerState,
+        measurement: Measurement,
+        target: Target,
+        q: Tensor,
+        pi_hat: Tensor,
+        chain: Placed,
+        e: Tensor,
+        dt: Tensor,
+        bounds: RateBounds | None,
+    ) -> tuple[Tensor, Tensor | None]:
+        """qdot (..., n) of Eq. (16) with the departure that waits, and no `Command.limits` of its own."""
+        ahead = state.ahead
+        assert ahead is not None  # of `initial_state`
+        waits = ahead.next == AheadStatus.FOLLOWED
+        departure = self.lookahead.loop.departure(ahead.knots, ahead.age + dt)
+        departure = torch.where(waits.unsqueeze(-1), departure, 0.0)
+        wanted = target.xdot_d.expand_as(e) + departure[..., :3]
+        J = chain.tip_jacobian()
+        return self.inverse_kinematics(J, e, wanted, q, dt, bounds, departure[..., 3:]), None
+
+    def _built(self, state: ControllerState, pi_hat: Tensor | None = None) -> Tensor:
+        """q (..., n) of the arm's sections as they were built, whose q_bar is of rest lengths pi_hat; None for its own."""
+        if self.shape is not None and state.shape is not None:
+            return self.shape.strain(state.shape)
+        return self._lengthened(state.q_bar, state.pi_hat if pi_hat is None else pi_hat)
+
+    def _lengthened(self, q: Tensor, pi_hat: Tensor) -> Tensor:
+        """q (..., n) over the arm's own rest lengths of one over pi_hat (..., n_b), m."""
+        return q + self.backbone.coordinates.on_elongations(pi_hat - self.observer.dynamics.lengths)
+
+    def _seen(self, ahead: Ahead, q: Tensor, dt: Tensor) -> tuple[Tensor, ObserverState, Tensor, Tensor]:
+        """The filtered rate (..., n), what else acts on the arm, the payload (...) kg, and the forces (..., n_a) N."""
+        look, started = self.lookahead, ahead.observer.started.unsqueeze(-1)
+        step = dt.clamp(min=1e-9).unsqueeze(-1)
+        moved = torch.where(started, (q - ahead.q) / step, 0.0)
+        share = 1.0 - torch.exp(-step / max(look.rate_time, 1e-9))
+        loop = look.loop
+        u = loop.K_P * (ahead.y - loop.lengths(q)) + loop.K_D * ahead.ydot
+        # The mean over the period, as what has moved is: beside the tendons' friction a period's lag is newtons.
+        observer = self.observer(ahead.observer, q, moved, 0.5 * (ahead.u + u), dt.unsqueeze(-1))
+        weight = self._weight(q)
+        soft = weight / self.observer.dynamics.stiffness_diagonal
+        payload = (soft * observer.r).sum(-1) / (soft * weight).sum(-1)
+        return torch.lerp(ahead.rate, moved, share), observer, payload.clamp(0.0, look.payload_limit), u
+
+    def _weight(self, q: Tensor) -> Tensor:
+        """The generalized force (..., n) of a kg at the tip."""
+        dynamics = self.observer.dynamics
+        return dynamics.gravity(q) - dynamics.gravity(q, torch.ones_like(q[..., 0]))
+
+
+def _where(rows: Tensor, value: Tensor, other: Tensor) -> Tensor:
+    """A value where rows (...) are good and it is finite, another elsewhere."""
+    if value.dtype == torch.bool:
+        return torch.where(rows, value, other)
+    whole = rows[(..., *(None,) * (value.dim() - rows.dim()))] & torch.isfinite(value)
+    return torch.where(whole, value, other)
