@@ -27,12 +27,11 @@ class Ahead(NamedTuple):
     """Of a `LookaheadController`.
 
     knots: (..., k, 3 + n) departure from Eq. (16), m/s, rad/s and m/s. age: (...) s since it began.
-    status: (...) `AheadStatus` of the last command. next: (...) of the one that comes, NONE until there is a look ahead.
-    number: (...) int64, looks so far.
+    status: (...) `AheadStatus` of the last command. next: (...) of the one that comes, NONE until there is a look
+    ahead. number: (...) int64, looks so far.
     q: (..., n) of the arm's sections as they were built, and rate: (..., n) its velocity behind a low-pass.
-    pi_hat: (..., n_b) m, that q_bar is of. x: (..., 3) m, the tip. y: (..., n_a) m, the last command, and ydot: (..., n_a) m/s,
-    its rate. u: (..., n_a) N, the
-    tendons' forces as they are believed.
+    pi_hat: (..., n_b) m, that q_bar is of. x: (..., 3) m, the tip. y: (..., n_a) m, the last command, and
+    ydot: (..., n_a) m/s, its rate. u: (..., n_a) N, the tendons' forces as they are believed.
     observer: Of what else acts on the arm. payload: (...) kg believed.
     """
 

@@ -35,9 +35,10 @@ class Way(NamedTuple):
 class Lookahead(Part):
     """The departure from Eq. (16) for an arm now.
 
-    The first sample departs not at all and the second as the mean of before did, so what is returned never costs more
-    than Eq. (16) in its own model. Half of the others differ in the tip's velocity alone. Samples come from sets that are
-    drawn once and taken in turn: the same arms in the same state get the same way, alone and in a batch.
+    The first sample departs not at all and the second as the mean of before did. The mean is rolled out too, and
+    dropped where it costs more than no departure: what is returned never costs more than Eq. (16) in its own model.
+    Half of the others differ in the tip's velocity alone. Samples come from sets that are drawn once and taken in turn:
+    the same arms in the same state get the same way, alone and in a batch.
 
     Args:
         loop: Its model.
@@ -100,14 +101,14 @@ class Lookahead(Part):
             outlook: (...) what is known and wanted.
             run: The loop's steps.
         """
-        start, known = (type(each)(*[value.unsqueeze(len(now.cost.shape)) for value in each]) for each in (now, outlook))
+        start, known = (
+            type(each)(*[value.unsqueeze(len(now.cost.shape)) for value in each]) for each in (now, outlook)
+        )
         start = Predicted(*[value.expand(*knots.shape[:-2], *value.shape[now.cost.dim() + 1 :]) for value in start])
         cost = run(start, knots, known, repeats=self.loop.steps + 1).cost
         return torch.where(torch.isfinite(cost), cost, torch.inf)
 
-    def forward(
-        self, now: Predicted, outlook: Outlook, mean: Tensor, number: Tensor, run: Step | None = None
-    ) -> Way:
+    def forward(self, now: Predicted, outlook: Outlook, mean: Tensor, number: Tensor, run: Step | None = None) -> Way:
         """The way to take.
 
         Args:
@@ -118,7 +119,7 @@ class Lookahead(Part):
             run: The steps of `loop`; None for itself, eagerly.
         """
         run = TorchStep(self.loop) if run is None else run
-        wanted = self.loop.inverse_kinematics.tip_velocity(outlook.e + outlook.z, outlook.xdot_d)
+        wanted = self.loop.inverse_kinematics.tip_velocity(now.e + outlook.z, outlook.xdot_d)
         knots = self.sampled(mean, torch.linalg.vector_norm(wanted, dim=-1), number)
         cost = self.cost(now, knots, outlook, run)
         alone = cost[..., 0]

@@ -1,9 +1,9 @@
-"""The A-PCC controller with a look ahead: Eq. (16), and a departure from it where a rollout says that this is better."""
+"""The A-PCC controller with a look ahead: Eq. (16), and a departure from it where rollouts say that this is better."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, Self
+from typing import Any, NamedTuple, Self
 
 import torch
 from torch import Tensor
@@ -28,12 +28,23 @@ from apcc_torch.native.compiled import Step, compiled
 from apcc_torch.part import row_tensors
 
 
+class Seen(NamedTuple):
+    """What of `Ahead` a measurement tells."""
+
+    q: Tensor
+    rate: Tensor
+    pi_hat: Tensor
+    x: Tensor
+    u: Tensor
+    payload: Tensor
+
+
 class LookaheadController(APCCController):
     """`APCCController` whose command may depart from Eq. (16), as a look ahead said after the step before.
 
     A step takes no longer for it: `forward` uses the departure that waits in the state, if there is one, and
-    `look_ahead` finds the next while the arm moves. A state that was not looked ahead from, because a deadline was near,
-    steps as Eq. (16) alone; `state.ahead.status` says which it was.
+    `look_ahead` finds the next while the arm moves. A state that was not looked ahead from, because a deadline was
+    near, steps as Eq. (16) alone; `state.ahead.status` says which it was.
 
     Args:
         *parts: As in `APCCController`; with a routing, and a model of constant-curvature sections.
@@ -43,8 +54,8 @@ class LookaheadController(APCCController):
         **settings: As in `APCCController`.
 
     Raises:
-        ConfigError: There is no routing, or the model is none of constant-curvature sections, or the arm has chambers, or
-            settings differ from row to row.
+        ConfigError: There is no routing, or the model is none of constant-curvature sections, or the arm has chambers,
+            or settings differ from row to row.
     """
 
     def __init__(
@@ -67,6 +78,7 @@ class LookaheadController(APCCController):
         assert isinstance(own, ControllerSettings)
         model = self.backbone, self.inverse_kinematics, dynamics, self.routing
         self.lookahead = Lookahead(PredictedLoop(*model, s, obstacles=obstacles, controller=own), s)
+        self.rate_time, self.payload_limit = max(s.rate_time, 1e-9), s.payload_limit
         self.observer = MomentumObserver(dynamics, self.routing, s.observer_gain, s.tendon_damping + s.K_D)
         if row_tensors(self.lookahead):
             raise ConfigError("a look ahead has one model for all rows: its settings and the controller's must be too")
@@ -84,11 +96,10 @@ class LookaheadController(APCCController):
         knots = zero[..., None, None].expand(*zero.shape, self.lookahead.knots, 3 + self.backbone.n)
         y = self.tendons(state.q_d, state.pi_hat)
         assert y is not None  # there is a routing
-        x = self.backbone.tip(state.q_bar, state.pi_hat)
-        observer = self.observer.initial_state(own)
-        return state._replace(
-            ahead=Ahead(knots, zero, none, none, none, own, torch.zeros_like(own), state.pi_hat, x, y, torch.zeros_like(y), torch.zeros_like(y), observer, zero)
-        )
+        where = own, torch.zeros_like(own), state.pi_hat, self.backbone.tip(state.q_bar, state.pi_hat)
+        still, observer = torch.zeros_like(y), self.observer.initial_state(own)
+        ahead = Ahead(knots, zero, none, none, none, *where, y, still, still, observer, zero)
+        return state._replace(ahead=ahead)
 
     def forward(
         self, state: ControllerState, measurement: Measurement, target: Target
@@ -101,19 +112,17 @@ class LookaheadController(APCCController):
         valid = (command.feedback.status != int(FeedbackStatus.INVALID)) & (dt > 0)
         q, x = self._built(later, state.pi_hat), target.x_d - command.e
         rate, observer, payload, u = self._seen(ahead, q, dt)
-        kept = {
-            "q": (q, ahead.q), "rate": (rate, ahead.rate), "x": (x, ahead.x), "pi_hat": (state.pi_hat, ahead.pi_hat), "payload": (payload, ahead.payload), "u": (u, ahead.u)
-        }  # fmt: skip
-        moved = {name: _where(valid, *pair) for name, pair in kept.items()}
-        seen = type(observer)(*(_where(valid, *pair) for pair in zip(observer, ahead.observer, strict=True)))
+        now = Seen(q, rate, state.pi_hat, x, u, payload)
+        before = Seen(ahead.q, ahead.rate, ahead.pi_hat, ahead.x, ahead.u, ahead.payload)
+        now = Seen(*(_where(valid, *pair) for pair in zip(now, before, strict=True)))
+        observer = ObserverState(*(_where(valid, *pair) for pair in zip(observer, ahead.observer, strict=True)))
         none = torch.zeros_like(ahead.next)
         # The next period is as long as this one, so fast the command moves in it.
         ydot = (command.y - ahead.y) / dt.clamp(min=1e-3).unsqueeze(-1)
-        return later._replace(
-            ahead=Ahead(
-                ahead.knots, ahead.age + dt, ahead.next, none, ahead.number, **moved, y=command.y, ydot=ydot, observer=seen
-            )
-        ), command
+        ahead = ahead._replace(
+            age=ahead.age + dt, status=ahead.next, next=none, y=command.y, ydot=ydot, observer=observer, **now._asdict()
+        )
+        return later._replace(ahead=ahead), command
 
     def look_ahead(self, state: ControllerState, target: Target, run: Step | None = None) -> ControllerState:
         """The state with a departure from Eq. (16) for its next step.
@@ -133,12 +142,13 @@ class LookaheadController(APCCController):
         d = ahead.observer.r - ahead.payload.unsqueeze(-1) * self._weight(ahead.q)
         x_d, xdot_d = (each.expand_as(off) for each in (target.x_d, target.xdot_d))
         pi = self.driven_lengths(state.pi_hat)
-        outlook = Outlook(x_d, xdot_d, x_d - ahead.x, z, off, state.pi_hat, seen, pi.expand_as(state.pi_hat), ahead.payload, d)
-        now = Predicted(ahead.q, ahead.rate, state.q_d, ahead.y, zero, zero)
+        known = state.pi_hat, seen, pi.expand_as(state.pi_hat), ahead.payload, d
+        J = self.backbone.tip_jacobian(ahead.q + seen, state.pi_hat)
+        edot = xdot_d - (J @ ahead.rate.unsqueeze(-1)).squeeze(-1)
+        now = Predicted(ahead.q, ahead.rate, state.q_d, ahead.y, x_d - ahead.x, edot, zero, zero)
+        outlook = Outlook(x_d, xdot_d, z, off, *known)
         way = look(now, outlook, look.shifted(ahead.knots, ahead.age), ahead.number, run)
-        return state._replace(
-            ahead=ahead._replace(knots=way.knots, age=zero, next=way.status, number=ahead.number + 1)
-        )
+        return state._replace(ahead=ahead._replace(knots=way.knots, age=zero, next=way.status, number=ahead.number + 1))
 
     def rollouts(self, compile: str, rows: int = 1) -> Step:
         """The steps of `look_ahead`'s model for so many rows, run as `native.compiled` says."""
@@ -168,7 +178,7 @@ class LookaheadController(APCCController):
         return self.inverse_kinematics(J, e, wanted, q, dt, bounds, departure[..., 3:]), None
 
     def _built(self, state: ControllerState, pi_hat: Tensor | None = None) -> Tensor:
-        """q (..., n) of the arm's sections as they were built, whose q_bar is of rest lengths pi_hat; None for its own."""
+        """q (..., n) of the sections as they were built, whose q_bar is of rest lengths pi_hat; None for its own."""
         if self.shape is not None and state.shape is not None:
             return self.shape.strain(state.shape)
         return self._lengthened(state.q_bar, state.pi_hat if pi_hat is None else pi_hat)
@@ -179,18 +189,17 @@ class LookaheadController(APCCController):
 
     def _seen(self, ahead: Ahead, q: Tensor, dt: Tensor) -> tuple[Tensor, ObserverState, Tensor, Tensor]:
         """The filtered rate (..., n), what else acts on the arm, the payload (...) kg, and the forces (..., n_a) N."""
-        look, started = self.lookahead, ahead.observer.started.unsqueeze(-1)
+        loop, started = self.lookahead.loop, ahead.observer.started.unsqueeze(-1)
         step = dt.clamp(min=1e-9).unsqueeze(-1)
         moved = torch.where(started, (q - ahead.q) / step, 0.0)
-        share = 1.0 - torch.exp(-step / max(look.rate_time, 1e-9))
-        loop = look.loop
+        share = 1.0 - torch.exp(-step / self.rate_time)
         u = loop.K_P * (ahead.y - loop.lengths(q)) + loop.K_D * ahead.ydot
         # The mean over the period, as what has moved is: beside the tendons' friction a period's lag is newtons.
         observer = self.observer(ahead.observer, q, moved, 0.5 * (ahead.u + u), dt.unsqueeze(-1))
         weight = self._weight(q)
         soft = weight / self.observer.dynamics.stiffness_diagonal
         payload = (soft * observer.r).sum(-1) / (soft * weight).sum(-1)
-        return torch.lerp(ahead.rate, moved, share), observer, payload.clamp(0.0, look.payload_limit), u
+        return torch.lerp(ahead.rate, moved, share), observer, payload.clamp(0.0, self.payload_limit), u
 
     def _weight(self, q: Tensor) -> Tensor:
         """The generalized force (..., n) of a kg at the tip."""

@@ -22,7 +22,8 @@ class PredictedLoopSettings(Settings):
     K_P: float = setting(750.0, "N/m", PAPER, "of the tendons' loop believed", above=0)
     K_D: float = setting(5.0, "N s/m", PAPER, "of it, likewise", least=0)
     tendon_damping: float = setting(200.0, "N s/m", OURS, "viscous friction of each tendon believed", least=0)
-    approach: float = setting(2.0, "1/s", OURS, "with which the tip's error is to fall, e exp(-approach t)", above=0)
+    approach: float = setting(2.0, "1/s", OURS, "with which the tip's error is to fall", above=0)
+    lead: float = setting(0.15, "s", OURS, "in which the tip's velocity is to become that", above=0)
     tip_error: float = setting(0.01, "m", OURS, "of the tip from there that costs 1", above=0)
     final_speed: float = setting(0.1, "m/s", OURS, "of the tip's velocity from it, at the end, that costs 1", above=0)
     final_weight: float = setting(5.0, "", OURS, "of the end, over the mean of the way", least=0)
@@ -58,7 +59,9 @@ class LookaheadSettings(PredictedLoopSettings):
 
     samples: int = setting(256, "", OURS, "ways that are rolled out", least=3, most=10**6)
     knots: int = setting(3, "", OURS, "of each way's departure from Eq. (16) over the horizon", least=2, most=100)
-    tip_spread: float = setting(1.0, "", OURS, "deviation of the tip's velocity at a knot, over that of Eq. (16)", least=0)
+    tip_spread: float = setting(
+        1.0, "", OURS, "deviation of the tip's velocity at a knot, over that of Eq. (16)", least=0
+    )
     tip_floor: float = setting(0.002, "m/s", OURS, "its least deviation", least=0)
     bend_spread: float = setting(0.3, "rad/s", OURS, "deviation of bends where the tip leaves them free", least=0)
     length_spread: float = setting(0.02, "m/s", OURS, "of elongations, likewise", least=0)

@@ -27,13 +27,16 @@ class Predicted(NamedTuple):
     """An arm under way.
 
     q, qdot: (..., n) of the arm's sections as they were built, rad, m, 1/s. q_d: (..., n) of the controller.
-    y: (..., n_a) m commanded. time: (...) s from now. cost: (...) so far.
+    y: (..., n_a) m commanded. e, edot: (..., 3) error of the tip that is asked for, m, m/s. time: (...) s from now.
+    cost: (...) so far.
     """
 
     q: Tensor
     qdot: Tensor
     q_d: Tensor
     y: Tensor
+    e: Tensor
+    edot: Tensor
     time: Tensor
     cost: Tensor
 
@@ -41,7 +44,7 @@ class Predicted(NamedTuple):
 class Outlook(NamedTuple):
     """What is known and wanted of an arm now, and stays so over the horizon.
 
-    x_d, xdot_d: (..., 3) target, m, m/s. e: (..., 3) m, the tip's error now. z: (..., 3) integral beside its error, m. off: (..., 3) m, of the measured tip
+    x_d, xdot_d: (..., 3) target, m, m/s. z: (..., 3) integral beside its error, m. off: (..., 3) m, of the measured tip
     from the model's. pi_hat: (..., n_b) m, rest lengths of the model, and seen: (..., n) by how much its q_bar is more
     than q of the sections as they were built. pi: (..., n_b) m, the lengths with which q_d is mapped to the tendons.
     payload: (...) kg. d: (..., n) generalized force that nothing else explains, N m and N.
@@ -49,7 +52,6 @@ class Outlook(NamedTuple):
 
     x_d: Tensor
     xdot_d: Tensor
-    e: Tensor
     z: Tensor
     off: Tensor
     pi_hat: Tensor
@@ -83,6 +85,7 @@ class PredictedLoop(Part):
     K_D: float
     tendon_damping: float
     approach: float
+    lead: float
     tip_error: float
     final_speed: float
     final_weight: float
@@ -116,12 +119,13 @@ class PredictedLoop(Part):
         self.routing = routing
         c = ControllerSettings() if controller is None else controller
         self.reference_damping, self.bend_bound, self.elongation_bound = (
-            c.reference_damping, c.bend_bound, c.elongation_bound
+            c.reference_damping,
+            c.bend_bound,
+            c.elongation_bound,
         )
         listed = [spread(f"spheres[{i}]", sphere, 4) for i, sphere in enumerate(s.spheres)]
         bodies = [*obstacles, *(Sphere(each[:3], float(each[3])) for each in listed)]
-        near = {"radius": s.radius, "activation": s.clearance, "points": s.points}
-        self.near = ClearanceCost(bodies, **near) if bodies else None
+        self.near = ClearanceCost(bodies, s.radius, s.clearance, s.points) if bodies else None
         self.hold(s)
         hold_rows(self, B=(backbone.tendon_matrix(routing, dynamics.lengths), 2))
 
@@ -135,8 +139,8 @@ class PredictedLoop(Part):
         lengths = self.dynamics.lengths
         q, zero = lengths.new_zeros(self.backbone.n), lengths.new_zeros(())
         point, departure = lengths.new_zeros(3), lengths.new_zeros(knots, 3 + self.backbone.n)
-        now = Predicted(q, q, q, lengths.new_zeros(self.B.shape[-1]), zero, zero)
-        return now, departure, Outlook(point, point, point, point, point, lengths, q, lengths, zero, q)
+        now = Predicted(q, q, q, lengths.new_zeros(self.B.shape[-1]), point, point, zero, zero)
+        return now, departure, Outlook(point, point, point, point, lengths, q, lengths, zero, q)
 
     def driven(self, q: Tensor, pi: Tensor) -> Tensor:
         """The controller's q (..., n) of an arm at q: of rest lengths pi (..., n_b), m, as long."""
@@ -179,7 +183,9 @@ class PredictedLoop(Part):
         square = self.B @ self.B.mT
         actuation = Actuation(tau, self.K_P * square, (self.K_D + self.tendon_damping) * square)
         arm = semi_implicit_step(self.dynamics, ArmState(now.q, now.qdot), actuation, dt, outlook.payload)
-        return Predicted(arm.q, arm.qdot, q_d, y, now.time + dt, now.cost + cost)
+        # Rates first, so that a step as long as `lead` is stable.
+        edot = (now.edot - (dt / self.lead) * self.approach * now.e) / (1.0 + dt / self.lead)
+        return Predicted(arm.q, arm.qdot, q_d, y, now.e + dt * edot, edot, now.time + dt, now.cost + cost)
 
     def lengths(self, v: Tensor) -> Tensor:
         """B^T v: tendon length changes (..., n_a) m of a configuration, or their rates of a velocity."""
@@ -188,9 +194,8 @@ class PredictedLoop(Part):
     def _cost(self, now: Predicted, knots: Tensor, outlook: Outlook, J: Tensor, e: Tensor, y: Tensor) -> Tensor:
         """What the loop costs here (...)."""
         ends = now.time > self.horizon - 0.5 * self.dt
-        wanted = torch.exp(-self.approach * now.time).unsqueeze(-1) * outlook.e
-        tip = ((e - wanted) / self.tip_error).square().sum(-1)
-        off = (J @ now.qdot.unsqueeze(-1)).squeeze(-1) - outlook.xdot_d - self.approach * wanted
+        tip = ((e - now.e) / self.tip_error).square().sum(-1)
+        off = (J @ now.qdot.unsqueeze(-1)).squeeze(-1) - outlook.xdot_d + now.edot
         last = self.final_weight * (tip + (off / self.final_speed).square().sum(-1))
         way = tip
         if self.elongation is not None:
