@@ -7,8 +7,6 @@ from typing import NamedTuple
 
 from torch import Tensor
 
-from apcc_torch.estimation.momentum_observer import ObserverState
-
 
 class AheadStatus(IntEnum):
     """What a command takes from a look ahead.
@@ -29,10 +27,11 @@ class Ahead(NamedTuple):
     knots: (..., k, 3 + n) departure from Eq. (16), m/s, rad/s and m/s. age: (...) s since it began.
     status: (...) `AheadStatus` of the last command. next: (...) of the one that comes, NONE until there is a look
     ahead. number: (...) int64, looks so far.
-    q: (..., n) of the arm's sections as they were built, and rate: (..., n) its velocity behind a low-pass.
-    pi_hat: (..., n_b) m, that q_bar is of. x: (..., 3) m, the tip. y: (..., n_a) m, the last command, and
-    ydot: (..., n_a) m/s, its rate. u: (..., n_a) N, the tendons' forces as they are believed.
-    observer: Of what else acts on the arm. payload: (...) kg believed.
+    q: (..., n_f) of the arm's pieces, moved: (..., n_f) its mean velocity since the step before, and rate: (..., n_f)
+    that behind a low-pass. x: (..., 3) m, the tip. y: (..., n_a) m, the last command, and ydot: (..., n_a) m/s, its
+    rate. u: (..., n_a) N, the tendons' forces as they are believed. r: (..., n_f) N m and N, generalized force of the
+    payload and of what else the model leaves unexplained. payload: (...) kg believed. known: (...) int64, steps in
+    which something of this was measured, up to two.
     """
 
     knots: Tensor
@@ -41,11 +40,12 @@ class Ahead(NamedTuple):
     next: Tensor
     number: Tensor
     q: Tensor
+    moved: Tensor
     rate: Tensor
-    pi_hat: Tensor
     x: Tensor
     y: Tensor
     ydot: Tensor
     u: Tensor
-    observer: ObserverState
+    r: Tensor
     payload: Tensor
+    known: Tensor

@@ -19,10 +19,8 @@ from apcc_torch.control.predicted_loop import Outlook, Predicted, PredictedLoop
 from apcc_torch.control.step_io import Command, ControllerState, Measurement, Target, elapsed
 from apcc_torch.errors import ConfigError
 from apcc_torch.estimation.feedback import FeedbackStatus
-from apcc_torch.estimation.momentum_observer import MomentumObserver, ObserverState
 from apcc_torch.model.arm import Arm
 from apcc_torch.model.backbone import PCCBackbone
-from apcc_torch.model.dynamics import SoftArmDynamics
 from apcc_torch.model.kinematic_model import Placed
 from apcc_torch.native.compiled import Step, compiled
 from apcc_torch.part import row_tensors
@@ -32,11 +30,13 @@ class Seen(NamedTuple):
     """What of `Ahead` a measurement tells."""
 
     q: Tensor
+    moved: Tensor
     rate: Tensor
-    pi_hat: Tensor
     x: Tensor
     u: Tensor
+    r: Tensor
     payload: Tensor
+    known: Tensor
 
 
 class LookaheadController(APCCController):
@@ -48,7 +48,7 @@ class LookaheadController(APCCController):
 
     Args:
         *parts: As in `APCCController`; with a routing, and a model of constant-curvature sections.
-        dynamics: The arm, of as many sections.
+        of: The arm that is looked ahead for, of as many sections.
         lookahead: How to look ahead.
         obstacles: To be kept clear of, beside the settings' own.
         **settings: As in `APCCController`.
@@ -61,7 +61,7 @@ class LookaheadController(APCCController):
     def __init__(
         self,
         *parts: Any,
-        dynamics: SoftArmDynamics,
+        of: Arm,
         lookahead: LookaheadSettings | None = None,
         obstacles: Sequence[Obstacle] = (),
         **settings: Any,
@@ -76,29 +76,30 @@ class LookaheadController(APCCController):
             raise ConfigError("a look ahead needs a model of constant-curvature sections, model=pcc")
         own: Any = self.settings
         assert isinstance(own, ControllerSettings)
+        # A shape is known in pieces of the sections, and what the load does to them moves the tip by centimetres.
+        dynamics = of.dynamics(1 if self.shape is None else self.shape.shape.refine)
         model = self.backbone, self.inverse_kinematics, dynamics, self.routing
         self.lookahead = Lookahead(PredictedLoop(*model, s, obstacles=obstacles, controller=own), s)
         self.rate_time, self.payload_limit = max(s.rate_time, 1e-9), s.payload_limit
-        self.observer = MomentumObserver(dynamics, self.routing, s.observer_gain, s.tendon_damping + s.K_D)
+        self.observer_gain = s.observer_gain
         if row_tensors(self.lookahead):
             raise ConfigError("a look ahead has one model for all rows: its settings and the controller's must be too")
 
     @classmethod
     def on(cls, arm: Arm, control: ControlSettings, nominal: Tensor | None = None, **parts: Any) -> Self:
         """See `APCCController.on`."""
-        return super().on(arm, control, nominal, dynamics=arm.dynamics(), lookahead=control.lookahead, **parts)
+        return super().on(arm, control, nominal, of=arm, lookahead=control.lookahead, **parts)
 
     def initial_state(self, q: Tensor, pi_hat: Tensor, time: Tensor | None = None) -> ControllerState:
         """See `APCCController.initial_state`."""
         state = super().initial_state(q, pi_hat, time)
-        zero, own = torch.zeros_like(state.q_bar[..., 0]), self._built(state)
+        zero, q = torch.zeros_like(state.q_bar[..., 0]), self._pieces(state, state.pi_hat)
         none = torch.zeros_like(zero, dtype=torch.int64)
         knots = zero[..., None, None].expand(*zero.shape, self.lookahead.knots, 3 + self.backbone.n)
         y = self.tendons(state.q_d, state.pi_hat)
         assert y is not None  # there is a routing
-        where = own, torch.zeros_like(own), state.pi_hat, self.backbone.tip(state.q_bar, state.pi_hat)
-        still, observer = torch.zeros_like(y), self.observer.initial_state(own)
-        ahead = Ahead(knots, zero, none, none, none, *where, y, still, still, observer, zero)
+        still, rest, x = torch.zeros_like(y), torch.zeros_like(q), self.backbone.tip(state.q_bar, state.pi_hat)
+        ahead = Ahead(knots, zero, none, none, none, q, rest, rest, x, y, still, still, rest, zero, none)
         return state._replace(ahead=ahead)
 
     def forward(
@@ -110,17 +111,14 @@ class LookaheadController(APCCController):
         assert ahead is not None and command.y is not None  # of `initial_state`, and there is a routing
         dt = elapsed(state.time, measurement.time, self.integration_limit, later.q_bar)
         valid = (command.feedback.status != int(FeedbackStatus.INVALID)) & (dt > 0)
-        q, x = self._built(later, state.pi_hat), target.x_d - command.e
-        rate, observer, payload, u = self._seen(ahead, q, dt)
-        now = Seen(q, rate, state.pi_hat, x, u, payload)
-        before = Seen(ahead.q, ahead.rate, ahead.pi_hat, ahead.x, ahead.u, ahead.payload)
-        now = Seen(*(_where(valid, *pair) for pair in zip(now, before, strict=True)))
-        observer = ObserverState(*(_where(valid, *pair) for pair in zip(observer, ahead.observer, strict=True)))
+        seen = self._seen(ahead, self._pieces(later, state.pi_hat), target.x_d - command.e, dt)
+        before = Seen(*(getattr(ahead, name) for name in Seen._fields))
+        seen = Seen(*(_where(valid, *pair) for pair in zip(seen, before, strict=True)))
         none = torch.zeros_like(ahead.next)
         # The next period is as long as this one, so fast the command moves in it.
         ydot = (command.y - ahead.y) / dt.clamp(min=1e-3).unsqueeze(-1)
         ahead = ahead._replace(
-            age=ahead.age + dt, status=ahead.next, next=none, y=command.y, ydot=ydot, observer=observer, **now._asdict()
+            age=ahead.age + dt, status=ahead.next, next=none, y=command.y, ydot=ydot, **seen._asdict()
         )
         return later._replace(ahead=ahead), command
 
@@ -135,18 +133,15 @@ class LookaheadController(APCCController):
         ahead, look = state.ahead, self.lookahead
         assert ahead is not None  # of `initial_state`
         zero = torch.zeros_like(ahead.age)
-        seen = self._lengthened(state.q_bar, ahead.pi_hat) - ahead.q
-        seen = seen - self._lengthened(torch.zeros_like(seen), state.pi_hat)
-        off = ahead.x - self.backbone.tip(ahead.q + seen, state.pi_hat)
+        off = ahead.x - look.loop.tip(ahead.q)
         z = torch.zeros_like(off) if state.integral is None else state.integral
-        d = ahead.observer.r - ahead.payload.unsqueeze(-1) * self._weight(ahead.q)
+        d = ahead.r - ahead.payload.unsqueeze(-1) * self._weight(ahead.q)
         x_d, xdot_d = (each.expand_as(off) for each in (target.x_d, target.xdot_d))
-        pi = self.driven_lengths(state.pi_hat)
-        known = state.pi_hat, seen, pi.expand_as(state.pi_hat), ahead.payload, d
-        J = self.backbone.tip_jacobian(ahead.q + seen, state.pi_hat)
+        pi = self.driven_lengths(state.pi_hat).expand_as(state.pi_hat)
+        J = look.loop.arm.tip_jacobian(ahead.q, self._lengths(ahead.q))
         edot = xdot_d - (J @ ahead.rate.unsqueeze(-1)).squeeze(-1)
         now = Predicted(ahead.q, ahead.rate, state.q_d, ahead.y, x_d - ahead.x, edot, zero, zero)
-        outlook = Outlook(x_d, xdot_d, z, off, *known)
+        outlook = Outlook(x_d, xdot_d, z, off, pi, ahead.payload, d)
         way = look(now, outlook, look.shifted(ahead.knots, ahead.age), ahead.number, run)
         return state._replace(ahead=ahead._replace(knots=way.knots, age=zero, next=way.status, number=ahead.number + 1))
 
@@ -177,39 +172,47 @@ class LookaheadController(APCCController):
         J = chain.tip_jacobian()
         return self.inverse_kinematics(J, e, wanted, q, dt, bounds, departure[..., 3:]), None
 
-    def _built(self, state: ControllerState, pi_hat: Tensor | None = None) -> Tensor:
-        """q (..., n) of the sections as they were built, whose q_bar is of rest lengths pi_hat; None for its own."""
-        if self.shape is not None and state.shape is not None:
-            return self.shape.strain(state.shape)
-        return self._lengthened(state.q_bar, state.pi_hat if pi_hat is None else pi_hat)
+    def _pieces(self, state: ControllerState, pi_hat: Tensor) -> Tensor:
+        """q (..., n_f) of the arm's pieces, of a q_bar over rest lengths pi_hat (..., n_b), m, or of a shape."""
+        loop = self.lookahead.loop
+        if self.shape is None or state.shape is None:
+            return loop.spread(state.q_bar + self.backbone.coordinates.on_elongations(pi_hat - loop.lengths))
+        return self.shape.shape.configuration(state.shape.shape)
 
-    def _lengthened(self, q: Tensor, pi_hat: Tensor) -> Tensor:
-        """q (..., n) over the arm's own rest lengths of one over pi_hat (..., n_b), m."""
-        return q + self.backbone.coordinates.on_elongations(pi_hat - self.observer.dynamics.lengths)
+    def _lengths(self, q: Tensor) -> Tensor:
+        lengths = self.lookahead.loop.dynamics.lengths
+        return lengths.expand(*q.shape[:-1], lengths.shape[-1])
 
-    def _seen(self, ahead: Ahead, q: Tensor, dt: Tensor) -> tuple[Tensor, ObserverState, Tensor, Tensor]:
-        """The filtered rate (..., n), what else acts on the arm, the payload (...) kg, and the forces (..., n_a) N."""
-        loop, started = self.lookahead.loop, ahead.observer.started.unsqueeze(-1)
-        step = dt.clamp(min=1e-9).unsqueeze(-1)
-        moved = torch.where(started, (q - ahead.q) / step, 0.0)
-        share = 1.0 - torch.exp(-step / self.rate_time)
-        u = loop.K_P * (ahead.y - loop.lengths(q)) + loop.K_D * ahead.ydot
-        # The mean over the period, as what has moved is: beside the tendons' friction a period's lag is newtons.
-        observer = self.observer(ahead.observer, q, moved, 0.5 * (ahead.u + u), dt.unsqueeze(-1))
+    def _seen(self, ahead: Ahead, q: Tensor, x: Tensor, dt: Tensor) -> Seen:
+        """What an arm at q (..., n_f), its tip at x (..., 3), tells after dt (...) s.
+
+        The equation of motion holds in the mean over the period. Beside the tendons' friction a period's lag would be
+        newtons, so every term is taken as it was on the way: none of a filter's velocity, and the mean of the forces.
+        """
+        loop, step = self.lookahead.loop, dt.clamp(min=1e-9).unsqueeze(-1)
+        arm, known = loop.dynamics, ahead.known.unsqueeze(-1)
+        moved = torch.where(known > 0, (q - ahead.q) / step, 0.0)
+        swung = torch.where(known > 1, (moved - ahead.moved) / step, 0.0)
+        u = loop.K_P * (ahead.y - loop.tendons(q)) + loop.K_D * ahead.ydot
+        pull = 0.5 * (ahead.u + u) - (loop.tendon_damping + loop.K_D) * loop.tendons(moved)
+        equation, (K, D) = arm.equation(q, moved), arm.diagonals
+        left = (equation.inertia @ swung.unsqueeze(-1) - loop.B @ pull.unsqueeze(-1)).squeeze(-1)
+        left = left + equation.bias + K * q + D * moved
+        share = torch.where(known > 1, 1.0 - torch.exp(-self.observer_gain * step), 0.0)
+        r = torch.lerp(ahead.r, left, share)
         weight = self._weight(q)
-        soft = weight / self.observer.dynamics.stiffness_diagonal
-        payload = (soft * observer.r).sum(-1) / (soft * weight).sum(-1)
-        return torch.lerp(ahead.rate, moved, share), observer, payload.clamp(0.0, self.payload_limit), u
+        soft = weight / K
+        payload = ((soft * r).sum(-1) / (soft * weight).sum(-1)).clamp(0.0, self.payload_limit)
+        rate = torch.lerp(ahead.rate, moved, 1.0 - torch.exp(-step / self.rate_time))
+        return Seen(q, moved, rate, x, u, r, payload, (ahead.known + 1).clamp(max=2))
 
     def _weight(self, q: Tensor) -> Tensor:
-        """The generalized force (..., n) of a kg at the tip."""
-        dynamics = self.observer.dynamics
-        return dynamics.gravity(q) - dynamics.gravity(q, torch.ones_like(q[..., 0]))
+        """The generalized force (..., n_f) of a kg at the tip."""
+        arm = self.lookahead.loop.dynamics
+        return arm.gravity(q) - arm.gravity(q, torch.ones_like(q[..., 0]))
 
 
 def _where(rows: Tensor, value: Tensor, other: Tensor) -> Tensor:
     """A value where rows (...) are good and it is finite, another elsewhere."""
-    if value.dtype == torch.bool:
-        return torch.where(rows, value, other)
     whole = rows[(..., *(None,) * (value.dim() - rows.dim()))] & torch.isfinite(value)
     return torch.where(whole, value, other)

@@ -26,7 +26,7 @@ from apcc_torch.spread import spread
 class Predicted(NamedTuple):
     """An arm under way.
 
-    q, qdot: (..., n) of the arm's sections as they were built, rad, m, 1/s. q_d: (..., n) of the controller.
+    q, qdot: (..., n_f) of the arm's pieces, rad, m, 1/s. q_d: (..., n) of the controller.
     y: (..., n_a) m commanded. e, edot: (..., 3) error of the tip that is asked for, m, m/s. time: (...) s from now.
     cost: (...) so far.
     """
@@ -45,17 +45,14 @@ class Outlook(NamedTuple):
     """What is known and wanted of an arm now, and stays so over the horizon.
 
     x_d, xdot_d: (..., 3) target, m, m/s. z: (..., 3) integral beside its error, m. off: (..., 3) m, of the measured tip
-    from the model's. pi_hat: (..., n_b) m, rest lengths of the model, and seen: (..., n) by how much its q_bar is more
-    than q of the sections as they were built. pi: (..., n_b) m, the lengths with which q_d is mapped to the tendons.
-    payload: (...) kg. d: (..., n) generalized force that nothing else explains, N m and N.
+    from the model's. pi: (..., n_b) m, the lengths with which q_d is mapped to the tendons. payload: (...) kg.
+    d: (..., n_f) generalized force that nothing else explains, N m and N.
     """
 
     x_d: Tensor
     xdot_d: Tensor
     z: Tensor
     off: Tensor
-    pi_hat: Tensor
-    seen: Tensor
     pi: Tensor
     payload: Tensor
     d: Tensor
@@ -71,7 +68,7 @@ class PredictedLoop(Part):
     Args:
         backbone: The controller's model.
         inverse_kinematics: Its Eq. (16).
-        dynamics: The arm.
+        dynamics: The arm, each of the model's sections divided into equal pieces, or into one.
         routing: Its tendons.
         *settings, **changes: See `PredictedLoopSettings`.
         obstacles: To be kept clear of, beside `spheres`.
@@ -99,6 +96,7 @@ class PredictedLoop(Part):
     intrusion: float
     clearance: float
     B: Tensor
+    lengths: Tensor
 
     def __init__(
         self,
@@ -127,7 +125,10 @@ class PredictedLoop(Part):
         bodies = [*obstacles, *(Sphere(each[:3], float(each[3])) for each in listed)]
         self.near = ClearanceCost(bodies, s.radius, s.clearance, s.points) if bodies else None
         self.hold(s)
-        hold_rows(self, B=(backbone.tendon_matrix(routing, dynamics.lengths), 2))
+        self.arm = dynamics.kinematics()
+        self.refine = dynamics.n_sections // backbone.n_sections
+        lengths = dynamics.lengths.unflatten(-1, (-1, self.refine)).sum(-1)
+        hold_rows(self, B=(self.arm.tendon_matrix(routing, dynamics.lengths), 2), lengths=(lengths, 1))
 
     @property
     def dt(self) -> float:
@@ -136,15 +137,28 @@ class PredictedLoop(Part):
 
     def blank(self, knots: int) -> tuple[Predicted, Tensor, Outlook]:
         """Arguments of the form that one row has: what a compiler needs to see."""
-        lengths = self.dynamics.lengths
-        q, zero = lengths.new_zeros(self.backbone.n), lengths.new_zeros(())
+        lengths = self.lengths
+        q, q_d, zero = (lengths.new_zeros(size) for size in ((self.arm.n,), (self.backbone.n,), ()))
         point, departure = lengths.new_zeros(3), lengths.new_zeros(knots, 3 + self.backbone.n)
-        now = Predicted(q, q, q, lengths.new_zeros(self.B.shape[-1]), point, point, zero, zero)
-        return now, departure, Outlook(point, point, point, point, lengths, q, lengths, zero, q)
+        now = Predicted(q, q, q_d, lengths.new_zeros(self.B.shape[-1]), point, point, zero, zero)
+        return now, departure, Outlook(point, point, point, point, lengths, zero, q)
+
+    def tip(self, q: Tensor) -> Tensor:
+        """The tip (..., 3) m of an arm at q (..., n_f)."""
+        return self.arm.tip(q, self.dynamics.lengths.expand(*q.shape[:-1], -1))
+
+    def sections(self, q: Tensor) -> Tensor:
+        """The strains (..., n) of the sections of an arm at q (..., n_f), rad and m."""
+        return q.unflatten(-1, (-1, self.refine, 3)).sum(-2).flatten(-2)
+
+    def spread(self, q: Tensor) -> Tensor:
+        """q (..., n_f) of sections' strains (..., n), of which each piece takes an equal part."""
+        parts = (q.unflatten(-1, (-1, 1, 3)) / self.refine).expand(*q.shape[:-1], -1, self.refine, 3)
+        return parts.flatten(-3)
 
     def driven(self, q: Tensor, pi: Tensor) -> Tensor:
-        """The controller's q (..., n) of an arm at q: of rest lengths pi (..., n_b), m, as long."""
-        return q - self.backbone.coordinates.on_elongations(pi - self.dynamics.lengths)
+        """The controller's q (..., n) of an arm at q (..., n_f): of rest lengths pi (..., n_b), m, as long."""
+        return self.sections(q) - self.backbone.coordinates.on_elongations(pi - self.lengths)
 
     def departure(self, knots: Tensor, time: Tensor) -> Tensor:
         """(v, w) (..., 3 + n) of knots (..., k, 3 + n) at a time (...) s from now; beyond the horizon the last."""
@@ -162,11 +176,13 @@ class PredictedLoop(Part):
             outlook: What is known and wanted.
         """
         dt, model = self.dt, self.backbone
-        chain = model.chain(now.q + outlook.seen, outlook.pi_hat)
-        J = chain.tip_jacobian()
+        chain = self.arm.chain(now.q, self.dynamics.lengths.expand(*now.q.shape[:-1], -1))
+        J_f = chain.tip_jacobian()
+        # Tendons move all pieces of a section alike.
+        J = J_f.unflatten(-1, (-1, self.refine, 3)).mean(-2).flatten(-2)
         e = outlook.x_d + now.time.unsqueeze(-1) * outlook.xdot_d - (chain.tip + outlook.off)
-        y_now, ydot_now = self.lengths(now.q), self.lengths(now.qdot)
-        cost = self._cost(now, knots, outlook, J, e, y_now)
+        y_now, ydot_now = self.tendons(now.q), self.tendons(now.qdot)
+        cost = self._cost(now, knots, outlook, J_f, e, y_now)
 
         asked = self.departure(knots, now.time)
         wanted, beside = outlook.xdot_d + asked[..., :3], asked[..., 3:]
@@ -177,7 +193,7 @@ class PredictedLoop(Part):
         q_d = now.q_d + dt * rate
         if reference is not None:
             q_d = reference.held(q_d)
-        y = model.tendon_lengths(self.routing, q_d - self.reference_damping * now.qdot, outlook.pi)
+        y = model.tendon_lengths(self.routing, q_d - self.reference_damping * self.sections(now.qdot), outlook.pi)
         u = self.K_P * (y - y_now) + self.K_D * ((y - now.y) / dt - ydot_now)
         tau = outlook.d + (self.B @ (u - self.tendon_damping * ydot_now).unsqueeze(-1)).squeeze(-1)
         square = self.B @ self.B.mT
@@ -187,7 +203,7 @@ class PredictedLoop(Part):
         edot = (now.edot - (dt / self.lead) * self.approach * now.e) / (1.0 + dt / self.lead)
         return Predicted(arm.q, arm.qdot, q_d, y, now.e + dt * edot, edot, now.time + dt, now.cost + cost)
 
-    def lengths(self, v: Tensor) -> Tensor:
+    def tendons(self, v: Tensor) -> Tensor:
         """B^T v: tendon length changes (..., n_a) m of a configuration, or their rates of a velocity."""
         return (self.B.mT @ v.unsqueeze(-1)).squeeze(-1)
 
@@ -199,7 +215,9 @@ class PredictedLoop(Part):
         last = self.final_weight * (tip + (off / self.final_speed).square().sum(-1))
         way = tip
         if self.elongation is not None:
-            way = way + (now.q[..., self.backbone.coordinates.elongations] / self.elongation).square().sum(-1)
+            way = way + (
+                self.sections(now.q)[..., self.backbone.coordinates.elongations] / self.elongation
+            ).square().sum(-1)
         asked = self.departure(knots, now.time)
         if self.tip_departure is not None:
             way = way + (asked[..., :3] / self.tip_departure).square().sum(-1)
@@ -215,5 +233,5 @@ class PredictedLoop(Part):
         if self.near is not None:
             # The hinge of a clearance cost is over its activation distance, and halved.
             scale = 2.0 * (self.clearance / self.intrusion) ** 2
-            way = way + scale * self.near(self.backbone, now.q + outlook.seen, outlook.pi_hat)[0]
+            way = way + scale * self.near(self.arm, now.q, self.dynamics.lengths)[0]
         return torch.where(ends, last, way / self.steps)

@@ -43,10 +43,10 @@ def replay(log: RobotLog, control: Control) -> Replayed:
         DataError: The log holds no control step, lacks what one was given, or is of another arm.
     """
     n, n_b = control.controller.backbone.n, control.pi_hat.shape[-1]
-    wanted = layouts(n, n_b, control.n_bodies, control.n_tendons)
+    looks = control.looking is not None
+    wanted = layouts(n, n_b, control.n_bodies, control.n_tendons, ahead=looks)
     first = log.rows(wanted.start, "q", "pi_hat", "first")[0]
     control.restart(Start(first["q"].copy(), first["pi_hat"].copy(), float(first["first"])))
-    looks = control.looking is not None
     steps = log.rows(wanted.controller, "tick", "time", "y", *(["ahead"] if looks else []))
     targets = {int(row["tick"]): row for row in log.rows(wanted.target, "tick", "x_d", "xdot_d")}
     measured = log.rows(wanted.measurement, *(field.name for field in wanted.measurement.fields))

@@ -129,9 +129,7 @@ def start_of(of: LookaheadController, state: ControllerState, aim: Target) -> tu
     zero, still = torch.zeros_like(a.age), torch.zeros_like(aim.x_d)
     now = Predicted(a.q, torch.zeros_like(a.q), state.q_d, a.y, aim.x_d - a.x, still, zero, zero)
     lengths = LENGTHS.expand(*zero.shape, 2)
-    return now, Outlook(
-        aim.x_d, still, still, still, lengths, torch.zeros_like(a.q), lengths, zero, torch.zeros_like(a.q)
-    )
+    return now, Outlook(aim.x_d, still, still, still, lengths, zero, torch.zeros_like(a.q))
 
 
 def test_no_way_that_is_taken_costs_more_than_eq_16() -> None:
@@ -171,9 +169,7 @@ def test_the_model_moves_as_the_arm_that_it_is_of() -> None:
     zero, still = torch.zeros(3, dtype=D), torch.zeros(3, 3, dtype=D)
     lengths = LENGTHS.expand(3, 2)
     now = Predicted(q_true, rate, q_d, y, X_D - log.x[k], still, zero, zero)
-    outlook = Outlook(
-        X_D, still, still, still, lengths, torch.zeros_like(q_true), lengths, zero, torch.zeros_like(q_true)
-    )
+    outlook = Outlook(X_D, still, still, still, lengths, zero, torch.zeros_like(q_true))
     later = of.rollouts("off")(now, torch.zeros(3, 3, 9, dtype=D), outlook, repeats=15)
     tip = ARM.backbone().tip(later.q, LENGTHS)
     moved = (log.x[k + 15] - log.x[k]).norm(dim=-1)
@@ -223,7 +219,7 @@ def test_limits_cost_what_is_past_them() -> None:
     now, outlook = start_of(controller(), state, target())
     now = now._replace(y=now.y + 0.02)
     free = controller().lookahead.loop
-    u = 750.0 * (now.y - free.lengths(now.q))
+    u = 750.0 * (now.y - free.tendons(now.q))
     for limits, past in (
         ({"force_limit": 5.0}, u.abs() / 5.0 - 1.0),
         ({"length_limit": 0.01}, now.y.abs() / 0.01 - 1.0),
