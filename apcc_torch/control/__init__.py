@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from apcc_torch.control.adaptation import AdaptiveLaw, AdaptiveLawSettings, NormalisedLaw, NormalisedLawSettings
 from apcc_torch.control.adaptive_dynamics import AdaptiveDynamics, AdaptiveDynamicsSettings
+from apcc_torch.control.ahead import Ahead, AheadStatus
 from apcc_torch.control.clearance import ClearanceCost
 from apcc_torch.control.composite_controller import CompositeController, CompositeControllerSettings
 from apcc_torch.control.control_settings import ControllerSettings, ControlSettings
@@ -12,6 +13,9 @@ from apcc_torch.control.estimate_covariance import SensorNoise, estimate_covaria
 from apcc_torch.control.inverse_kinematics import InverseKinematics, InverseKinematicsSettings, elongation_cost
 from apcc_torch.control.length_bounds import LengthBounds, LengthBoundsSettings
 from apcc_torch.control.length_law import LawStep, LengthLaw
+from apcc_torch.control.lookahead import Lookahead
+from apcc_torch.control.lookahead_controller import LookaheadController
+from apcc_torch.control.lookahead_settings import LookaheadSettings
 from apcc_torch.control.obstacles import Capsule, HalfSpace, Obstacle, Sphere
 from apcc_torch.control.pid import TendonPID, TendonPIDSettings, TendonReference, ramp
 from apcc_torch.control.pressure import PressureControl, PressureControlSettings
@@ -30,6 +34,8 @@ __all__ = [
     "AdaptiveDynamicsSettings",
     "AdaptiveLaw",
     "AdaptiveLawSettings",
+    "Ahead",
+    "AheadStatus",
     "Capsule",
     "ClearanceCost",
     "Command",
@@ -46,6 +52,9 @@ __all__ = [
     "LengthBounds",
     "LengthBoundsSettings",
     "LengthLaw",
+    "Lookahead",
+    "LookaheadController",
+    "LookaheadSettings",
     "Measurement",
     "NormalisedLaw",
     "NormalisedLawSettings",

@@ -29,9 +29,10 @@ class Ahead(NamedTuple):
     ahead. number: (...) int64, looks so far.
     q: (..., n_f) of the arm's pieces, moved: (..., n_f) its mean velocity since the step before, and rate: (..., n_f)
     that behind a low-pass. x: (..., 3) m, the tip. y: (..., n_a) m, the last command, and ydot: (..., n_a) m/s, its
-    rate. u: (..., n_a) N, the tendons' forces as they are believed. r: (..., n_f) N m and N, generalized force of the
-    payload and of what else the model leaves unexplained. payload: (...) kg believed. known: (...) int64, steps in
-    which something of this was measured, up to two.
+    rate. u: (..., n_a) N, the tendons' forces as they are believed.
+    r: (..., n_f) N m and N, generalized force that the arm alone does not explain, and w: (..., n_f) that of a kg at
+    the tip, both behind a low-pass; weighed, explained: (...) what was seen of w and of r along it. payload: (...) kg,
+    and d: (..., n_f) what it leaves. known: (...) int64, steps in which something of this was measured, up to two.
     """
 
     knots: Tensor
@@ -47,5 +48,9 @@ class Ahead(NamedTuple):
     ydot: Tensor
     u: Tensor
     r: Tensor
+    w: Tensor
+    weighed: Tensor
+    explained: Tensor
+    d: Tensor
     payload: Tensor
     known: Tensor

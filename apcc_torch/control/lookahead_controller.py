@@ -25,6 +25,10 @@ from apcc_torch.model.kinematic_model import Placed
 from apcc_torch.native.compiled import Step, compiled
 from apcc_torch.part import row_tensors
 
+PRIOR = 1e-3
+"""How much a payload of nothing is believed before anything is seen, as an elastic energy over time, J s/kg^2: a few
+steps of a hanging arm are more."""
+
 
 class Seen(NamedTuple):
     """What of `Ahead` a measurement tells."""
@@ -35,6 +39,10 @@ class Seen(NamedTuple):
     x: Tensor
     u: Tensor
     r: Tensor
+    w: Tensor
+    weighed: Tensor
+    explained: Tensor
+    d: Tensor
     payload: Tensor
     known: Tensor
 
@@ -81,7 +89,7 @@ class LookaheadController(APCCController):
         model = self.backbone, self.inverse_kinematics, dynamics, self.routing
         self.lookahead = Lookahead(PredictedLoop(*model, s, obstacles=obstacles, controller=own), s)
         self.rate_time, self.payload_limit = max(s.rate_time, 1e-9), s.payload_limit
-        self.observer_gain = s.observer_gain
+        self.observer_gain, self.payload_time, self.force_time = s.observer_gain, s.payload_time, s.force_time
         if row_tensors(self.lookahead):
             raise ConfigError("a look ahead has one model for all rows: its settings and the controller's must be too")
 
@@ -99,7 +107,9 @@ class LookaheadController(APCCController):
         y = self.tendons(state.q_d, state.pi_hat)
         assert y is not None  # there is a routing
         still, rest, x = torch.zeros_like(y), torch.zeros_like(q), self.backbone.tip(state.q_bar, state.pi_hat)
-        ahead = Ahead(knots, zero, none, none, none, q, rest, rest, x, y, still, still, rest, zero, none)
+        ahead = Ahead(
+            knots, zero, none, none, none, q, rest, rest, x, y, still, still, rest, rest, zero, zero, rest, zero, none
+        )
         return state._replace(ahead=ahead)
 
     def forward(
@@ -135,13 +145,12 @@ class LookaheadController(APCCController):
         zero = torch.zeros_like(ahead.age)
         off = ahead.x - look.loop.tip(ahead.q)
         z = torch.zeros_like(off) if state.integral is None else state.integral
-        d = ahead.r - ahead.payload.unsqueeze(-1) * self._weight(ahead.q)
         x_d, xdot_d = (each.expand_as(off) for each in (target.x_d, target.xdot_d))
         pi = self.driven_lengths(state.pi_hat).expand_as(state.pi_hat)
         J = look.loop.arm.tip_jacobian(ahead.q, self._lengths(ahead.q))
         edot = xdot_d - (J @ ahead.rate.unsqueeze(-1)).squeeze(-1)
         now = Predicted(ahead.q, ahead.rate, state.q_d, ahead.y, x_d - ahead.x, edot, zero, zero)
-        outlook = Outlook(x_d, xdot_d, z, off, pi, ahead.payload, d)
+        outlook = Outlook(x_d, xdot_d, z, off, pi, ahead.payload, ahead.d)
         way = look(now, outlook, look.shifted(ahead.knots, ahead.age), ahead.number, run)
         return state._replace(ahead=ahead._replace(knots=way.knots, age=zero, next=way.status, number=ahead.number + 1))
 
@@ -195,21 +204,24 @@ class LookaheadController(APCCController):
         swung = torch.where(known > 1, (moved - ahead.moved) / step, 0.0)
         u = loop.K_P * (ahead.y - loop.tendons(q)) + loop.K_D * ahead.ydot
         pull = 0.5 * (ahead.u + u) - (loop.tendon_damping + loop.K_D) * loop.tendons(moved)
-        equation, (K, D) = arm.equation(q, moved), arm.diagonals
-        left = (equation.inertia @ swung.unsqueeze(-1) - loop.B @ pull.unsqueeze(-1)).squeeze(-1)
-        left = left + equation.bias + K * q + D * moved
+        one = torch.ones_like(dt)
+        (M, bias), (K, D) = arm.equation(q, moved), arm.diagonals
+        M_1, bias_1 = arm.equation(q, moved, one)
+        known_forces = (loop.B @ pull.unsqueeze(-1)).squeeze(-1) - bias - K * q - D * moved
+        left = (M @ swung.unsqueeze(-1)).squeeze(-1) - known_forces
+        of_a_kg = bias - bias_1 - ((M_1 - M) @ swung.unsqueeze(-1)).squeeze(-1)
+        # A filter on both keeps the mass what it is, and takes the noise of two differences in a row.
         share = torch.where(known > 1, 1.0 - torch.exp(-self.observer_gain * step), 0.0)
-        r = torch.lerp(ahead.r, left, share)
-        weight = self._weight(q)
-        soft = weight / K
-        payload = ((soft * r).sum(-1) / (soft * weight).sum(-1)).clamp(0.0, self.payload_limit)
+        r, w = torch.lerp(ahead.r, left, share), torch.lerp(ahead.w, of_a_kg, share)
+        told, fading = (known > 1).to(dt).squeeze(-1) * dt, torch.exp(-dt / self.payload_time)
+        weighed = fading * ahead.weighed + told * (w * w / K).sum(-1)
+        explained = fading * ahead.explained + told * (w * r / K).sum(-1)
+        payload = (explained / (weighed + PRIOR)).clamp(0.0, self.payload_limit)
+        unexplained = r - payload.unsqueeze(-1) * w
+        d = torch.lerp(ahead.d, unexplained, torch.where(known > 1, 1.0 - torch.exp(-step / self.force_time), 0.0))
         rate = torch.lerp(ahead.rate, moved, 1.0 - torch.exp(-step / self.rate_time))
-        return Seen(q, moved, rate, x, u, r, payload, (ahead.known + 1).clamp(max=2))
-
-    def _weight(self, q: Tensor) -> Tensor:
-        """The generalized force (..., n_f) of a kg at the tip."""
-        arm = self.lookahead.loop.dynamics
-        return arm.gravity(q) - arm.gravity(q, torch.ones_like(q[..., 0]))
+        count = (ahead.known + 1).clamp(max=2)
+        return Seen(q, moved, rate, x, u, r, w, weighed, explained, d, payload, count)
 
 
 def _where(rows: Tensor, value: Tensor, other: Tensor) -> Tensor:

@@ -68,7 +68,9 @@ class LookaheadSettings(PredictedLoopSettings):
     temperature: float = setting(
         0.1, "", OURS, "of the weights, over the mean cost above the least; small: the best alone", above=0
     )
-    observer_gain: float = setting(10.0, "1/s", OURS, "of what the model leaves unexplained of the forces", above=0)
+    observer_gain: float = setting(10.0, "1/s", OURS, "low-pass on the forces that the arm does not explain", above=0)
+    payload_time: float = setting(2.0, "s", OURS, "memory of the payload", above=0)
+    force_time: float = setting(0.5, "s", OURS, "in which what the payload leaves is taken over", above=0)
     rate_time: float = setting(0.02, "s", OURS, "low-pass on the rate of the configuration", least=0)
     payload_limit: float = setting(1.0, "kg", OURS, "largest payload that is believed", least=0)
     batch: int = setting(16, "", OURS, "sets of samples, taken in turn", least=1, most=10**6)
