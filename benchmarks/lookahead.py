@@ -45,9 +45,9 @@ RUN = ("compile=aot", "experiment=dynamic_run_2")
 CONTROLLERS: dict[str, tuple[str, ...]] = {
     "standard": (*RUN, "controller.adaptive=false"),
     "law": RUN,
+    "look ahead, law": (*RUN, "lookahead=mppi"),
     "composite": ("compile=aot", "experiment=dynamic_run_2_composite"),
     "look ahead, lengths fixed": (*RUN, "controller.adaptive=false", "lookahead=mppi"),
-    "look ahead, law": (*RUN, "lookahead=mppi"),
 }
 HELD_OUT = ("experiment.subset=held_out", "experiment.payloads=[0.5]", "experiment.duration=8")
 CENTRE, RADIUS, ARM_RADIUS = (0.16, 0.0, -0.27), 0.07, 0.03

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from apcc_torch.control.ahead import Ahead, AheadStatus
 from apcc_torch.control.bounds import RateBounds
-from apcc_torch.control.control_settings import ControllerSettings, ControlSettings
+from apcc_torch.control.control_settings import ControlSettings
 from apcc_torch.control.controller import APCCController
 from apcc_torch.control.lookahead import Lookahead
 from apcc_torch.control.lookahead_settings import LookaheadSettings
@@ -23,7 +23,7 @@ from apcc_torch.model.arm import Arm
 from apcc_torch.model.backbone import PCCBackbone
 from apcc_torch.model.kinematic_model import Placed
 from apcc_torch.native.compiled import Step, compiled
-from apcc_torch.part import row_tensors
+from apcc_torch.part import part_of, row_tensors
 
 PRIOR = 1e-3
 """How much a payload of nothing is believed before anything is seen, as an elastic energy over time, J s/kg^2: a few
@@ -82,12 +82,18 @@ class LookaheadController(APCCController):
             raise ConfigError("a look ahead predicts tendons: arm.chambers must be null, or lookahead none")
         if not isinstance(self.backbone, PCCBackbone):
             raise ConfigError("a look ahead needs a model of constant-curvature sections, model=pcc")
-        own: Any = self.settings
-        assert isinstance(own, ControllerSettings)
         # A shape is known in pieces of the sections, and what the load does to them moves the tip by centimetres.
         dynamics = of.dynamics(1 if self.shape is None else self.shape.shape.refine)
         model = self.backbone, self.inverse_kinematics, dynamics, self.routing
-        self.lookahead = Lookahead(PredictedLoop(*model, s, obstacles=obstacles, controller=own), s)
+        loop = PredictedLoop(
+            *model,
+            s,
+            obstacles=obstacles,
+            bend_bound=self.bend_bound,
+            elongation_bound=self.elongation_bound,
+            reference_damping=self.reference_damping,
+        )
+        self.lookahead: Lookahead = part_of(s)(loop, s)
         self.rate_time, self.payload_limit = max(s.rate_time, 1e-9), s.payload_limit
         self.observer_gain, self.payload_time, self.force_time = s.observer_gain, s.payload_time, s.force_time
         if row_tensors(self.lookahead):

@@ -22,7 +22,7 @@ class PredictedLoopSettings(Settings):
     K_P: float = setting(750.0, "N/m", PAPER, "of the tendons' loop believed", above=0)
     K_D: float = setting(5.0, "N s/m", PAPER, "of it, likewise", least=0)
     tendon_damping: float = setting(200.0, "N s/m", OURS, "viscous friction of each tendon believed", least=0)
-    approach: float = setting(2.0, "1/s", OURS, "with which the tip's error is to fall", above=0)
+    approach: float = setting(2.5, "1/s", OURS, "with which the tip's error is to fall", above=0)
     lead: float = setting(0.15, "s", OURS, "in which the tip's velocity is to become that", above=0)
     tip_error: float = setting(0.01, "m", OURS, "of the tip from there that costs 1", above=0)
     final_speed: float = setting(0.1, "m/s", OURS, "of the tip's velocity from it, at the end, that costs 1", above=0)

@@ -10,7 +10,6 @@ from torch import Tensor
 
 from apcc_torch.control.bounds import ReferenceBounds
 from apcc_torch.control.clearance import ClearanceCost
-from apcc_torch.control.control_settings import ControllerSettings
 from apcc_torch.control.inverse_kinematics import InverseKinematics
 from apcc_torch.control.lookahead_settings import PredictedLoopSettings
 from apcc_torch.control.obstacles import Obstacle, Sphere
@@ -18,8 +17,8 @@ from apcc_torch.model.backbone import PCCBackbone
 from apcc_torch.model.dynamics import SoftArmDynamics
 from apcc_torch.model.integrators import Actuation, ArmState, semi_implicit_step
 from apcc_torch.model.tendons import TendonRouting
-from apcc_torch.part import Part, hold_rows
-from apcc_torch.settings import resolved
+from apcc_torch.part import Part, hold_numbers, hold_rows
+from apcc_torch.settings import Setting, resolved
 from apcc_torch.spread import spread
 
 
@@ -72,7 +71,7 @@ class PredictedLoop(Part):
         routing: Its tendons.
         *settings, **changes: See `PredictedLoopSettings`.
         obstacles: To be kept clear of, beside `spheres`.
-        controller: What else it is set to; None for the defaults.
+        bend_bound, elongation_bound, reference_damping: Of the controller.
     """
 
     settings_type = PredictedLoopSettings
@@ -95,6 +94,8 @@ class PredictedLoop(Part):
     excess: float
     intrusion: float
     clearance: float
+    bend_bound: Setting | None
+    elongation_bound: Setting | None
     B: Tensor
     lengths: Tensor
 
@@ -106,7 +107,9 @@ class PredictedLoop(Part):
         routing: TendonRouting,
         *settings: Any,
         obstacles: Sequence[Obstacle] = (),
-        controller: ControllerSettings | None = None,
+        bend_bound: Setting | None = None,
+        elongation_bound: Setting | None = None,
+        reference_damping: float = 0.0,
         **changes: Any,
     ) -> None:
         super().__init__()
@@ -115,12 +118,8 @@ class PredictedLoop(Part):
         self.inverse_kinematics = inverse_kinematics
         self.dynamics = dynamics
         self.routing = routing
-        c = ControllerSettings() if controller is None else controller
-        self.reference_damping, self.bend_bound, self.elongation_bound = (
-            c.reference_damping,
-            c.bend_bound,
-            c.elongation_bound,
-        )
+        self.reference_damping = reference_damping
+        hold_numbers(self, bend_bound=bend_bound, elongation_bound=elongation_bound)
         listed = [spread(f"spheres[{i}]", sphere, 4) for i, sphere in enumerate(s.spheres)]
         bodies = [*obstacles, *(Sphere(each[:3], float(each[3])) for each in listed)]
         self.near = ClearanceCost(bodies, s.radius, s.clearance, s.points) if bodies else None
