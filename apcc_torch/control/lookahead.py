@@ -63,9 +63,9 @@ class Lookahead(Part):
         self.loop = loop
         self.hold(s)
         like = loop.dynamics.lengths
-        generator = torch.Generator().manual_seed(s.seed)
+        generator = torch.Generator("cpu").manual_seed(s.seed)
         shape = (s.batch, s.samples, s.knots, 3 + loop.backbone.n)
-        noise = torch.randn(shape, generator=generator, dtype=torch.float64)
+        noise = torch.randn(shape, generator=generator, dtype=torch.float64, device="cpu")
         noise[:, ::2, :, 3:] = 0.0
         noise[:, 1] = 0.0
         hold_rows(self, noise=(noise.to(like), 4))
@@ -88,7 +88,10 @@ class Lookahead(Part):
         free = coordinates.per_unit(self.bend_spread, self.length_spread, self.loop.backbone.n, mean)
         tip = (self.tip_floor + self.tip_spread * speed).unsqueeze(-1).expand(*speed.shape, 3)
         spread = torch.cat((tip, free.expand(*speed.shape, free.shape[-1])), dim=-1)
-        knots = mean.unsqueeze(-3) + spread[..., None, None, :] * self.noise[number % self.batch]
+        noise = self.noise.index_select(0, (number % self.batch).flatten()).reshape(
+            *number.shape, *self.noise.shape[1:]
+        )
+        knots = mean.unsqueeze(-3) + spread[..., None, None, :] * noise
         first = torch.zeros_like(knots[..., :1, :, :])
         return torch.cat((first, knots[..., 1:, :, :]), dim=-3)
 

@@ -83,7 +83,8 @@ class LookaheadController(APCCController):
         if not isinstance(self.backbone, PCCBackbone):
             raise ConfigError("a look ahead needs a model of constant-curvature sections, model=pcc")
         # A shape is known in pieces of the sections, and what the load does to them moves the tip by centimetres.
-        dynamics = of.dynamics(1 if self.shape is None else self.shape.shape.refine)
+        with self.backbone.base_rotation.device:  # where numbers become tensors
+            dynamics = of.dynamics(1 if self.shape is None else self.shape.shape.refine)
         model = self.backbone, self.inverse_kinematics, dynamics, self.routing
         loop = PredictedLoop(
             *model,

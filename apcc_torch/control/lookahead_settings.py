@@ -49,7 +49,8 @@ class PredictedLoopSettings(Settings):
         for i, sphere in enumerate(self.spheres):
             if not isinstance(sphere, list | tuple):
                 raise ConfigError(f"spheres[{i}] must be a list of 4 numbers, got {sphere!r}")
-            if float(spread(f"spheres[{i}]", sphere, 4)[3]) <= 0.0:
+            spread(f"spheres[{i}]", sphere, 4)
+            if float(sphere[3]) <= 0.0:
                 raise ConfigError(f"spheres[{i}] must have a positive radius, got {sphere!r}")
 
 

@@ -19,7 +19,6 @@ from apcc_torch.model.integrators import Actuation, ArmState, semi_implicit_step
 from apcc_torch.model.tendons import TendonRouting
 from apcc_torch.part import Part, hold_numbers, hold_rows
 from apcc_torch.settings import Setting, resolved
-from apcc_torch.spread import spread
 
 
 class Predicted(NamedTuple):
@@ -120,8 +119,8 @@ class PredictedLoop(Part):
         self.routing = routing
         self.reference_damping = reference_damping
         hold_numbers(self, bend_bound=bend_bound, elongation_bound=elongation_bound)
-        listed = [spread(f"spheres[{i}]", sphere, 4) for i, sphere in enumerate(s.spheres)]
-        bodies = [*obstacles, *(Sphere(each[:3], float(each[3])) for each in listed)]
+        listed = [(dynamics.lengths.new_tensor(each[:3]), float(each[3])) for each in s.spheres]
+        bodies = [*obstacles, *(Sphere(*each) for each in listed)]
         self.near = ClearanceCost(bodies, s.radius, s.clearance, s.points) if bodies else None
         self.hold(s)
         self.arm = dynamics.kinematics()
