@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable
 
 import torch
@@ -11,8 +12,8 @@ from apcc_torch.control.lookahead_controller import LookaheadController
 from apcc_torch.control.step_io import ControllerState, Target
 from apcc_torch.native.compiled import Step
 
-FADING = 0.98
-"""What is left, look by look, of the longest time that one took: a hold-up does not end it for good."""
+LAST = 16
+"""Looks whose times are kept. A look that is left out forgets the oldest: a hold-up does not end them for good."""
 RESERVE = 1.2
 """Times that long have to be left before a deadline, for a look to begin."""
 
@@ -31,7 +32,7 @@ class LookingAhead:
     def __init__(self, controller: LookaheadController, run: Step | None = None) -> None:
         self.controller = controller
         self.run = run
-        self.longest = 0.0  # s
+        self.took: deque[float] = deque(maxlen=LAST)  # s
 
     def __call__(
         self, state: ControllerState, target: Target, now: Callable[[], float], deadline: float
@@ -45,10 +46,11 @@ class LookingAhead:
             deadline: When the loop has to be served again, s.
         """
         began = now()
-        if began + RESERVE * self.longest >= deadline:
-            self.longest *= FADING
+        if began + RESERVE * max(self.took, default=0.0) >= deadline:
+            if self.took:
+                self.took.popleft()
             return None
         with torch.inference_mode():
             later = self.controller.look_ahead(state, target, self.run).ahead
-        self.longest = max(FADING * self.longest, now() - began)
+        self.took.append(now() - began)
         return later
