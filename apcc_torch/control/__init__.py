@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from apcc_torch.control.adaptation import AdaptiveLaw, AdaptiveLawSettings, NormalisedLaw, NormalisedLawSettings
 from apcc_torch.control.adaptive_dynamics import AdaptiveDynamics, AdaptiveDynamicsSettings
-from apcc_torch.control.ahead import Ahead, AheadStatus
 from apcc_torch.control.clearance import ClearanceCost
 from apcc_torch.control.composite_controller import CompositeController, CompositeControllerSettings
 from apcc_torch.control.control_settings import ControllerSettings, ControlSettings
@@ -34,8 +33,6 @@ __all__ = [
     "AdaptiveDynamicsSettings",
     "AdaptiveLaw",
     "AdaptiveLawSettings",
-    "Ahead",
-    "AheadStatus",
     "Capsule",
     "ClearanceCost",
     "Command",

@@ -43,6 +43,13 @@ class Lookahead(Part):
     Args:
         loop: Its model.
         *settings, **changes: See `LookaheadSettings`; those of the model are the loop's.
+
+    Example:
+        >>> controller = LookaheadController.for_arm(
+        ...     Arm(lengths=[0.2, 0.25], mass=0.4), adaptation=None, lookahead=LookaheadSettings(samples=64)
+        ... )
+        >>> controller.lookahead.noise.shape  # sets, samples, knots, of tip and configuration
+        torch.Size([16, 64, 3, 9])
     """
 
     settings_type = LookaheadSettings
@@ -137,6 +144,10 @@ class Lookahead(Part):
 def mean_of(knots: Tensor, cost: Tensor, temperature: float) -> Tensor:
     """Mean (..., k, m) of knots (..., S, k, m) with weights exp(-(cost - least) / lambda), lambda the temperature times
     how far the costs (..., S) are above the least in the mean; samples of infinite cost do not count.
+
+    Example:
+        >>> mean_of(torch.tensor([[[1.0]], [[3.0]]]), torch.tensor([2.0, 2.0]), 0.1)
+        tensor([[2.]])
     """
     finite = torch.isfinite(cost)
     least = cost.amin(-1, keepdim=True)

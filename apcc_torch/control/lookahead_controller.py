@@ -64,6 +64,18 @@ class LookaheadController(APCCController):
     Raises:
         ConfigError: There is no routing, or the model is none of constant-curvature sections, or the arm has chambers,
             or settings differ from row to row.
+
+    Example:
+        >>> arm, still = Arm(lengths=[0.2, 0.25], mass=0.4), torch.zeros(6).double()
+        >>> settings = LookaheadSettings(samples=8, steps=3)
+        >>> controller = LookaheadController.for_arm(arm, adaptation=None, lookahead=settings)
+        >>> L0, target = arm.rest_lengths(), Target(torch.tensor([0.1, 0.0, -0.4]).double(), torch.zeros(3).double())
+        >>> T = arm.backbone().pose(still, L0, *decouple(arm.sensor_places(), L0))
+        >>> state = controller.initial_state(still, L0)
+        >>> state, command = controller(state, Measurement(T, torch.tensor(0.02).double()), target)
+        >>> state = controller.look_ahead(state, target)  # while the arm moves
+        >>> int(state.ahead.number), state.ahead.knots.shape
+        (1, torch.Size([3, 9]))
     """
 
     def __init__(
