@@ -13,6 +13,8 @@ from apcc_torch.control.adaptive_dynamics import AdaptiveDynamics
 from apcc_torch.control.clearance import ClearanceCost
 from apcc_torch.control.composite_controller import CompositeController
 from apcc_torch.control.length_bounds import LengthBounds
+from apcc_torch.control.lookahead_controller import LookaheadController
+from apcc_torch.control.lookahead_settings import LookaheadSettings
 from apcc_torch.control.obstacles import Capsule, HalfSpace, Sphere
 from apcc_torch.control.pid import TendonPID
 from apcc_torch.control.pressure import PressureControl
@@ -32,6 +34,7 @@ from apcc_torch.estimation.savitzky_golay import SavitzkyGolay
 from apcc_torch.estimation.sensor_gate import SensorGate
 from apcc_torch.estimation.soft_window import SoftWindow
 from apcc_torch.model.affine import AffineBackbone
+from apcc_torch.model.arm import Arm
 from apcc_torch.model.backbone import PCCBackbone
 from apcc_torch.model.chambers import ChamberForce
 from apcc_torch.model.constant_strain import ConstantStrainBackbone
@@ -56,6 +59,7 @@ from followed import along, fit, fitted, followed, hung, led, loaded
 from laws import generator
 from parts import (
     URDF,
+    WHERE,
     advanced,
     arguments,
     asked,
@@ -101,6 +105,17 @@ from parts import (
     twisted,
     with_tasks,
 )
+
+
+def ahead_of() -> dict[str, Any]:
+    settings = LookaheadSettings(samples=4, knots=2, steps=2, batch=2, spheres=((0.1, 0.0, -0.3, 0.05),))
+    return {"of": Arm(lengths=[0.2, 0.25]), "lookahead": settings}
+
+
+def looked_ahead(of: Any, *rows: int) -> Any:
+    state, measurement, target = arguments(of, *rows)
+    later, command = of(of.look_ahead(state, target), measurement, target)
+    return command.qdot, command.q_d, command.y, later.ahead.r, of.look_ahead(later, target).ahead.knots
 
 
 class Case(NamedTuple):
@@ -426,6 +441,11 @@ CASES: dict[str, Case] = {
     "TaskController": Case(
         lambda **t: controller(TaskController, tasks=[Task("orientation", 0.2, eye(3), level=1)], **t),
         with_tasks,
+        other=lambda: {"bend_bound": 0.1},
+    ),
+    "LookaheadController": Case(
+        lambda **t: controller(LookaheadController, **ahead_of(), **t).to(**WHERE),
+        looked_ahead,
         other=lambda: {"bend_bound": 0.1},
     ),
     "CompositeController": Case(

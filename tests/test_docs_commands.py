@@ -80,7 +80,7 @@ NEEDS = {
 """What a command holds, or a block -> the package that it cannot do without."""
 
 YOUR_ARM = "docs/your_arm.md"
-CHOSEN = ("plant", "adaptation", "model", "dynamics_law")
+CHOSEN = ("plant", "adaptation", "model", "dynamics_law", "lookahead")
 """Groups whose choices have keys of their own."""
 
 COMMANDS = list({command.text: command for page in PAGES for command in commands(page)}.values())

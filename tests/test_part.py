@@ -20,7 +20,10 @@ from apcc_torch.control.composite_controller import CompositeController
 from apcc_torch.control.controller import APCCController
 from apcc_torch.control.inverse_kinematics import InverseKinematics
 from apcc_torch.control.length_bounds import LengthBounds
+from apcc_torch.control.lookahead import Lookahead
+from apcc_torch.control.lookahead_controller import LookaheadController
 from apcc_torch.control.pid import TendonPID, TendonPIDSettings
+from apcc_torch.control.predicted_loop import PredictedLoop
 from apcc_torch.control.pressure import PressureControl
 from apcc_torch.control.shape_law import ShapeLaw
 from apcc_torch.control.task_controller import TaskController
@@ -207,6 +210,11 @@ def controller(kind: type[APCCController] = APCCController, **settings: Any) -> 
     return kind(*parts, NormalisedLaw(3), routing=ARM.routing(), **settings)
 
 
+def predicted(**settings: Any) -> PredictedLoop:
+    model = PCCBackbone(3, HANGING_BASE), InverseKinematics(n_sections=3), ARM.dynamics(), ARM.routing()
+    return PredictedLoop(*model, **settings)
+
+
 def feedback() -> StateFeedback:
     return StateFeedback(PCCBackbone(3, HANGING_BASE), X)
 
@@ -228,6 +236,8 @@ MAKE: dict[type[Part], Callable[..., Part]] = {
     InverseKinematics: lambda **s: InverseKinematics(n_sections=3, **s),
     LengthBounds: lambda **s: LengthBounds(PI, X, **s),
     LoadedShape: lambda **s: LoadedShape.on(ARM, LoadedShapeSettings(**s)),
+    Lookahead: lambda **s: Lookahead(predicted(), **s),
+    LookaheadController: lambda **s: controller(LookaheadController, of=ARM, **s),
     NormalisedLaw: lambda **s: NormalisedLaw(3, **s),
     Plant: lambda **s: Plant(ARM.dynamics(), ARM.routing(), None, torch.zeros(2, dtype=D), PlantSettings(**s)),
     RodPlant: lambda **s: RodPlant.on(ARM, torch.zeros(2, dtype=D), RodPlantSettings(**s)),
@@ -240,6 +250,7 @@ MAKE: dict[type[Part], Callable[..., Part]] = {
     TaskController: lambda **s: controller(TaskController, **s),
     TaskIntegral: TaskIntegral,
     TendonPID: TendonPID,
+    PredictedLoop: predicted,
     PressureControl: lambda **s: PressureControl(small(), chambered(), pushing(), together(), **s),
     TendonTransmission: lambda **s: TendonTransmission(ARM.routing(), **s),
 }
@@ -255,6 +266,7 @@ OTHER: dict[str, Any] = {
     "inertial": InertialUnitsSettings(tilt_noise=0.02),
     "pid": TendonPIDSettings(K_P=700.0, force_limit=40.0),
     "places": PlaceErrors(sensors=-0.01),
+    "spheres": ((0.1, 0.0, -0.3, 0.05),),
     "window": 9,
 }
 """Values of settings for which one more, or another choice, is none."""
@@ -294,7 +306,7 @@ def within(about: Any, value: float) -> bool:
     return True
 
 
-PARTS_MORE = ((Plant, "transmission"), (RodPlant, "transmission"))
+PARTS_MORE = ((Plant, "transmission"), (RodPlant, "transmission"), (PredictedLoop, "spheres"))
 """Settings with which a part has a part more."""
 
 CASES = [
@@ -303,6 +315,8 @@ CASES = [
     for each in fields(part.settings_type)
     if (part, each.name) not in PARTS_MORE
     for i, value in enumerate(others(part, each))
+    # Whose settings are those of all rows.
+    if part is not LookaheadController or not isinstance(value, Tensor) or not value.dim()
 ]
 
 

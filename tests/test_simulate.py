@@ -17,7 +17,7 @@ from apcc_torch.simulate import EXPERIMENTS
 from started import ran
 
 HELP_GROUPS = ("experiment", "state", "arm", "model", "plant", "sensors", "feedback", "pose_filter", "adaptation")
-HELP_GROUPS += ("dynamics_law", "sweep", "hydra/launcher")
+HELP_GROUPS += ("dynamics_law", "lookahead", "sweep", "hydra/launcher")
 
 
 def simulate(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:

@@ -9,6 +9,7 @@ from torch import Tensor
 
 from apcc_torch.composition.run_settings import RunSettings
 from apcc_torch.control.controller import APCCController
+from apcc_torch.control.lookahead_controller import LookaheadController
 from apcc_torch.control.trajectory import SetPoint, SineTrajectory
 from apcc_torch.errors import ConfigError
 from apcc_torch.model.arm import Arm, vector
@@ -117,7 +118,8 @@ class Builder:
         config = self.config
         if adaptive is not None:
             config = config.changed(controller=config.controller.changed(adaptive=adaptive))
-        return self.placed(APCCController.on(self.arm, config, self.first_estimate()))
+        kind = APCCController if config.lookahead is None else LookaheadController
+        return self.placed(kind.on(self.arm, config, self.first_estimate()))
 
     def sine(self) -> SineTrajectory:
         """Eq. (51)'s trajectory."""

@@ -6,6 +6,7 @@ import torch
 
 from apcc_torch.composition.build import Builder
 from apcc_torch.composition.realtime import RealtimeSettings, limits_of
+from apcc_torch.control.lookahead_controller import LookaheadController
 from apcc_torch.control.trajectory import SetPoint, SineTrajectory
 from apcc_torch.errors import ConfigError
 from apcc_torch.hardware.control import Control, blank_step
@@ -14,6 +15,7 @@ from apcc_torch.hardware.dry_run import DryRunActuator
 from apcc_torch.hardware.guards import GuardSettings
 from apcc_torch.hardware.limits import CommandLimits
 from apcc_torch.hardware.log_format import Layouts, layouts
+from apcc_torch.hardware.looking_ahead import LookingAhead
 from apcc_torch.hardware.mounts import Mounts
 from apcc_torch.hardware.ramp import Ramp, RampControl
 from apcc_torch.hardware.sensing import Sensing
@@ -88,7 +90,10 @@ class RealtimeBuilder:
         if isinstance(way, Ramp):
             return RampControl(controller, pi_hat, way, step)
         targets = compiled(way, (torch.zeros((), dtype=pi_hat.dtype),), self.settings.compile)
-        return Control(controller, way, pi_hat, step, targets)
+        looking = None
+        if isinstance(controller, LookaheadController):
+            looking = LookingAhead(controller, controller.rollouts(self.settings.compile))
+        return Control(controller, way, pi_hat, step, targets, looking)
 
     def way(self) -> Ramp | SetPoint | SineTrajectory:
         """Where the tendons go in an experiment of kind `tendons`, else where the end effector is to go."""
@@ -104,7 +109,8 @@ class RealtimeBuilder:
         """The messages of the run's log."""
         routing, build = self.model.routing(), self.model
         sizes = build.backbone().n, build.n_sections, build.sensors_at().shape[0], routing.n_tendons
-        return layouts(*sizes, pressures=build.arm.chambers is not None)
+        ahead = self.settings.lookahead is not None
+        return layouts(*sizes, pressures=build.arm.chambers is not None, ahead=ahead)
 
     def limits(self) -> CommandLimits:
         """The clamps of every command."""

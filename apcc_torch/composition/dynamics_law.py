@@ -9,6 +9,7 @@ from apcc_torch.composition.build import Builder
 from apcc_torch.composition.run_settings import ForcedRunSettings
 from apcc_torch.control.composite_controller import CompositeController
 from apcc_torch.control.controller import APCCController
+from apcc_torch.errors import ConfigError
 from apcc_torch.model.dynamics_regressor import PARAMETERS
 from apcc_torch.part import part_of
 
@@ -17,13 +18,15 @@ def with_dynamics(build: Builder, controller: APCCController) -> APCCController 
     """The controller as it is, or with the feed-forward that `dynamics_law` asks for.
 
     Raises:
-        ConfigError: The model is none of constant-curvature sections.
+        ConfigError: The model is none of constant-curvature sections, or there is a look ahead too.
         ValueRangeError: A setting is out of range.
     """
     config = build.config
     assert isinstance(config, ForcedRunSettings)  # the only runs with a law of the dynamics
     if config.dynamics_law is None:
         return controller
+    if config.lookahead is not None:
+        raise ConfigError("a look ahead knows no feed-forward of forces: dynamics_law or lookahead must be none")
     composite: CompositeController = part_of(config.dynamics_law)(controller, None, None, config.dynamics_law)
     return build.placed(composite)
 

@@ -83,6 +83,8 @@ def parts(settings: ExportSettings) -> Parts:
         ConfigError, ValueRangeError: A setting has no meaning.
     """
     real = PRECISIONS[settings.precision]
+    if settings.lookahead is not None:
+        raise ConfigError("a library holds no look ahead: lookahead must be none")
     build = Builder(settings.changed(dtype="float64" if real == torch.float64 else "float32"))
     controller: Any = with_dynamics(build, build.controller())
     pi_hat, sensors = build.first_estimate(), build.sensors_at()

@@ -134,7 +134,7 @@ def of_a_simulation(c: SimulateSettings) -> Unread:
     yield from of_a_run(c, velocity=kind == "dynamic" and c.dynamics_law is not None)
     if kind == "kinematic":
         alone = "experiment kinematic has no forces: its true arm follows the command"
-        yield f"plant dynamics_law experiment.payloads {BODY}", alone
+        yield f"plant dynamics_law lookahead experiment.payloads {BODY}", alone
         yield ONE_TARGET, "experiment kinematic follows its sine"
         if c.state == "exact":
             yield (
@@ -149,7 +149,10 @@ def of_a_simulation(c: SimulateSettings) -> Unread:
             yield "state", "experiment kinematic alone can know q"
     if kind == "replay":
         moved = "experiment replay moves no arm"
-        yield f"plant sensors dynamics_law experiment.duration experiment.payloads {ONE_TARGET} {SINE} {BODY}", moved
+        yield (
+            f"plant sensors dynamics_law lookahead experiment.duration experiment.payloads {ONE_TARGET} {SINE} {BODY}",
+            moved,
+        )
         yield "arm.lengths arm.sensors controller.rate", "experiment replay takes it from the recording"
         yield "arm.sensed arm.curvature_sensors", "a recording holds poses"
         if not c.controller.adaptive:

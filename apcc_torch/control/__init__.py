@@ -12,6 +12,9 @@ from apcc_torch.control.estimate_covariance import SensorNoise, estimate_covaria
 from apcc_torch.control.inverse_kinematics import InverseKinematics, InverseKinematicsSettings, elongation_cost
 from apcc_torch.control.length_bounds import LengthBounds, LengthBoundsSettings
 from apcc_torch.control.length_law import LawStep, LengthLaw
+from apcc_torch.control.lookahead import Lookahead
+from apcc_torch.control.lookahead_controller import LookaheadController
+from apcc_torch.control.lookahead_settings import LookaheadSettings
 from apcc_torch.control.obstacles import Capsule, HalfSpace, Obstacle, Sphere
 from apcc_torch.control.pid import TendonPID, TendonPIDSettings, TendonReference, ramp
 from apcc_torch.control.pressure import PressureControl, PressureControlSettings
@@ -46,6 +49,9 @@ __all__ = [
     "LengthBounds",
     "LengthBoundsSettings",
     "LengthLaw",
+    "Lookahead",
+    "LookaheadController",
+    "LookaheadSettings",
     "Measurement",
     "NormalisedLaw",
     "NormalisedLawSettings",

@@ -112,7 +112,8 @@ class ClearanceCost(Part):
 
     def _points(self, model: JointedModel, q: Tensor, L0: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Points (..., N, 3) m, their Jacobians (..., N, 3, n) in world axes, and their abscissae (..., N), m."""
-        share = torch.linspace(0.0, 1.0, self.n_points, dtype=L0.dtype, device=L0.device)[1:]
+        last = self.n_points - 1
+        share = torch.arange(1, last + 1, dtype=L0.dtype, device=L0.device) / last
         X = share * L0.sum(-1, keepdim=True)
         T, J_b = model.pose_and_body_jacobian(q, L0, *decouple(X, L0))
         return T[..., :3, 3], T[..., :3, :3] @ J_b[..., 3:, :], X

@@ -9,6 +9,7 @@ from typing import Any, Self
 from apcc_torch.control.inverse_kinematics import InverseKinematicsSettings
 from apcc_torch.control.length_bounds import LengthBoundsSettings
 from apcc_torch.control.length_law import LengthLaw
+from apcc_torch.control.lookahead import Lookahead
 from apcc_torch.control.pressure import PressureControlSettings
 from apcc_torch.control.shape_law import ShapeLawSettings
 from apcc_torch.control.task_integral import TaskIntegralSettings
@@ -75,6 +76,9 @@ class ControlSettings(Settings):
     )
     pressure: PressureControlSettings = setting(
         factory=PressureControlSettings, meaning="from lengths to pressures, of an arm with chambers"
+    )
+    lookahead: Settings | None = setting(
+        None, "", OURS, "departures from Eq. (16) that rollouts find better; null: none", base=Lookahead
     )
 
     def with_keys(self, changes: Mapping[str, Any]) -> Self:

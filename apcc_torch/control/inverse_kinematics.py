@@ -169,6 +169,7 @@ class InverseKinematics(Part):
         q: Tensor,
         dt: Tensor | None = None,
         bounds: RateBounds | None = None,
+        beside: Tensor | None = None,
     ) -> Tensor:
         """Configuration velocity qdot (..., n), rad/s and m/s.
 
@@ -179,6 +180,7 @@ class InverseKinematics(Part):
             q: (..., n) configuration at which Psi is lowered.
             dt: (...) s for which the velocity is held, for `null_step`; None where it is not held.
             bounds: Of qdot; what would leave them drops out of the pseudo-inverse, see `solved_within`. None for none.
+            beside: (..., n) velocity to follow beside grad_Psi as far as the tip leaves it free; None for none.
 
         Raises:
             ShapeError, DtypeError: The arguments do not fit each other.
@@ -190,7 +192,8 @@ class InverseKinematics(Part):
         check_same(J_hat=J_hat, e=e, xdot_d=xdot_d, q=q)
         J_hat = self.coordinates.driven(J_hat)
         velocity = self.tip_velocity(e, xdot_d)
-        descent = self.descent(q, dt, velocity).unsqueeze(-1)
+        descent = self.descent(q, dt, velocity)
+        descent = (descent if beside is None else descent + beside).unsqueeze(-1)
 
         def solve(fixed: Tensor | None, free: Tensor | None) -> Tensor:
             if fixed is None or free is None:

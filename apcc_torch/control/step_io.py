@@ -7,6 +7,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from apcc_torch.control.ahead import Ahead
 from apcc_torch.control.length_law import Memory
 from apcc_torch.control.pressure import PressureState
 from apcc_torch.control.tasks import TaskTarget
@@ -95,6 +96,7 @@ class ControllerState(NamedTuple):
     integral: (..., 3) z of a `TaskIntegral`, m; None without one.
     shape: What a `ShapeFeedback` knows; None without one.
     pressure: What a `PressureControl` remembers; None without one.
+    ahead: What a `LookaheadController` remembers; None of another.
     """
 
     q_bar: Tensor
@@ -109,6 +111,7 @@ class ControllerState(NamedTuple):
     integral: Tensor | None = None
     shape: FollowedShape | None = None
     pressure: PressureState | None = None
+    ahead: Ahead | None = None
 
 
 def check_step(

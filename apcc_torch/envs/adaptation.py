@@ -65,6 +65,8 @@ class AdaptiveLoopSettings(ActionSettings):
             raise ConfigError("action='pressures' needs dynamics='dynamic': a kinematic arm has no mass to be pushed")
         if self.action == "adaptation" and not isinstance(control.adaptation, AdaptiveLawSettings):
             raise ConfigError("adaptation must be an AdaptiveLaw: the action sets its gamma")
+        if control.lookahead is not None:
+            raise ConfigError("an environment's controller does not look ahead: lookahead must be none")
 
     def control_settings(self) -> ControlSettings:
         """The controller's settings."""

@@ -11,11 +11,13 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from apcc_torch.control.ahead import AheadStatus
 from apcc_torch.control.controller import APCCController
 from apcc_torch.control.step_io import Command, ControllerState, Measurement, Target
 from apcc_torch.control.trajectory import Trajectory
 from apcc_torch.errors import ConfigError
 from apcc_torch.hardware.interfaces import Array
+from apcc_torch.hardware.looking_ahead import LookingAhead
 from apcc_torch.hardware.sensing import GatedFrame
 from apcc_torch.native.standing import StandingCall
 from apcc_torch.native.structure import mapped
@@ -62,7 +64,8 @@ class Decision:
 
     time: s since the start, of the measurement. x_d, xdot_d, e: (3,) m, m/s, m. y: (n_a,) wanted length changes, m.
     q_bar, qdot, q_d: (3 n_b,). pi_hat: (n_b,) m. status: `FeedbackStatus`. angular_error, linear_error: (k,) rad, m.
-    pressure: (n_a,) wanted of chambers, Pa; None of tendons.
+    pressure: (n_a,) wanted of chambers, Pa; None of tendons. ahead: `AheadStatus`; None of a controller that does not
+    look ahead.
     """
 
     time: float
@@ -79,6 +82,7 @@ class Decision:
     angular_error: Array
     linear_error: Array
     pressure: Array | None = None
+    ahead: int | None = None
 
     @property
     def command(self) -> Array:
@@ -104,6 +108,7 @@ class Control:
         pi_hat: (n_b,) first estimates, m.
         step: The step to call; None for the controller itself.
         targets: What the trajectory comes to at a time, such as a compiled form of it; None for itself.
+        looking: How it looks ahead between its steps; None where it does not.
 
     Raises:
         ConfigError: The controller has no routing.
@@ -116,6 +121,7 @@ class Control:
         pi_hat: Tensor,
         step: Step | None = None,
         targets: Callable[[Tensor], Target] | None = None,
+        looking: LookingAhead | None = None,
     ) -> None:
         if controller.routing is None:
             raise ConfigError("the controller of an arm needs a tendon routing")
@@ -125,6 +131,7 @@ class Control:
         self.n_bodies = controller.feedback.abscissae.shape[-1]
         self.trajectory = trajectory
         self.pi_hat = pi_hat
+        self.looking = looking
         self.step: Step = controller if step is None else step
         self._call = StandingCall(self.step, blank_step(controller, pi_hat), carries=True)
         self._aim = StandingCall(targets or trajectory, (torch.zeros((), dtype=pi_hat.dtype),))
@@ -174,6 +181,7 @@ class Control:
             self._measured(frame, lengths, (k + 1) * period)
             self._call()
             took.append(now() - began)
+            self.look_ahead(now, torch.inf)
         return took
 
     def start(self, time: float) -> Start:
@@ -231,7 +239,24 @@ class Control:
             numbers(feedback.angular_error),
             numbers(feedback.linear_error),
             None if command.pressure is None else numbers(command.pressure),
+            None if state.ahead is None else int(state.ahead.status),
         )
+
+    def look_ahead(self, now: Callable[[], float], deadline: float) -> None:
+        """Looks ahead from the last step, where the controller does and there is time for it.
+
+        Args:
+            now: The clock, s.
+            deadline: Of the loop's next turn, s.
+        """
+        if self.looking is None:
+            return
+        state, _, target = mapped(torch.from_numpy, self._call.given)
+        if int(state.ahead.next) != AheadStatus.NONE:
+            return  # nothing new was seen since
+        later = self.looking(state, target, now, deadline)
+        if later is not None:
+            mapped(lambda array, value: np.copyto(array, value.numpy()), self._call.given[0].ahead, later)
 
 
 def numbers(value: Tensor | NDArray[Any]) -> Array:

@@ -163,7 +163,8 @@ class RunLog:
             d = decision
             self._add(self.layouts.target, *number, t.index, d.time, d.x_d, d.xdot_d)
             inferred = d.q_bar, d.qdot, d.q_d, d.pi_hat, d.status, d.iterations, d.angular_error, d.linear_error
-            self._add(self.layouts.controller, *number, t.index, d.time, d.y, d.e, *inferred)
+            ahead = () if d.ahead is None else (d.ahead,)
+            self._add(self.layouts.controller, *number, t.index, d.time, d.y, d.e, *inferred, *ahead)
         if reading is not None:
             self.last = reading
             self._add(raw_layout(reading.raw), *number, t.index, t.time, *reading.raw.values())

@@ -138,7 +138,7 @@ class Layouts(NamedTuple):
     timing: Layout
 
 
-def layouts(n: int, n_b: int, k: int, n_a: int, pressures: bool = False) -> Layouts:
+def layouts(n: int, n_b: int, k: int, n_a: int, pressures: bool = False, ahead: bool = False) -> Layouts:
     """The layouts of an arm.
 
     Args:
@@ -147,6 +147,7 @@ def layouts(n: int, n_b: int, k: int, n_a: int, pressures: bool = False) -> Layo
         k: Bodies.
         n_a: Tendons, or chambers.
         pressures: Whether these are chambers, which are told pressures.
+        ahead: Whether the controller looks ahead.
     """
     unit, what = ("Pa", "pressures") if pressures else ("m", "length changes")
     start = (
@@ -181,6 +182,7 @@ def layouts(n: int, n_b: int, k: int, n_a: int, pressures: bool = False) -> Layo
         _int("iterations", "of algorithm 2"),
         _float("angular_error", "rad", k),
         _float("linear_error", "m", k),
+        *((_int("ahead", "apcc_torch.control.ahead.AheadStatus"),) if ahead else ()),
     )
     tendons = (
         TICK,

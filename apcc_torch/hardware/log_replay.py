@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 import torch
 
+from apcc_torch.control.ahead import AheadStatus
 from apcc_torch.errors import DataError
 from apcc_torch.hardware.control import Control, Goal, Start
 from apcc_torch.hardware.interfaces import Array
@@ -42,10 +43,11 @@ def replay(log: RobotLog, control: Control) -> Replayed:
         DataError: The log holds no control step, lacks what one was given, or is of another arm.
     """
     n, n_b = control.controller.backbone.n, control.pi_hat.shape[-1]
-    wanted = layouts(n, n_b, control.n_bodies, control.n_tendons)
+    looks = control.looking is not None
+    wanted = layouts(n, n_b, control.n_bodies, control.n_tendons, ahead=looks)
     first = log.rows(wanted.start, "q", "pi_hat", "first")[0]
     control.restart(Start(first["q"].copy(), first["pi_hat"].copy(), float(first["first"])))
-    steps = log.rows(wanted.controller, "tick", "time", "y")
+    steps = log.rows(wanted.controller, "tick", "time", "y", *(["ahead"] if looks else []))
     targets = {int(row["tick"]): row for row in log.rows(wanted.target, "tick", "x_d", "xdot_d")}
     measured = log.rows(wanted.measurement, *(field.name for field in wanted.measurement.fields))
     frames = {int(row["tick"]): row for row in measured if row["usable"]}
@@ -58,6 +60,8 @@ def replay(log: RobotLog, control: Control) -> Replayed:
                 raise DataError(f"the log lacks what the control step of turn {tick} was given")
             frame, target = _frame(frames[tick]), targets[tick]
             goal = Goal(target["x_d"], target["xdot_d"])
+            if looks and step["ahead"] != AheadStatus.NONE:
+                control.look_ahead(lambda: 0.0, np.inf)  # there was time
             replayed.append(control.decide(frame, lengths[tick], float(step["time"]), goal).y)
     count = len(replayed)
     return Replayed(steps["time"][:count], steps["y"][:count], np.array(replayed))

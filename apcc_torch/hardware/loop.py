@@ -65,6 +65,7 @@ class Loop:
                 k = self._next(k + 1)
             self._alive()
             halt_if(self.guards.on_overrun(self.overruns - before, self.seen_at))
+            self.setup.control.look_ahead(clock.now, self.started_at + k * loop.period)
 
     def _next(self, k: int) -> int:
         """The deadline to serve, where `k` is the next: the latest that has passed, at once; those before are lost."""

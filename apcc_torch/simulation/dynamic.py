@@ -14,13 +14,14 @@ from torch import Tensor
 
 from apcc_torch.control.composite_controller import CompositeController, CompositeState
 from apcc_torch.control.controller import APCCController
+from apcc_torch.control.lookahead_controller import LookaheadController
 from apcc_torch.control.pid import TendonReference, ramp
 from apcc_torch.control.step_io import ControllerState, Measurement
 from apcc_torch.control.trajectory import Trajectory
 from apcc_torch.errors import ConfigError
 from apcc_torch.model.abscissae import decouple
 from apcc_torch.model.curvature import curvature_weights, middle_curvature
-from apcc_torch.native.compiled import MODES, compiled
+from apcc_torch.native.compiled import MODES, Step, compiled
 from apcc_torch.part import Part, hold_rows, refuse_parameter, untrained
 from apcc_torch.settings import OURS, Settings, setting
 from apcc_torch.simulation.plant import Plant
@@ -239,6 +240,17 @@ class ClosedLoop(Part):
             measured = plant.forces(arm, self._reference(now, y, 1.0, *told))
         return LoopState(arm, state, sensors, y, measured, command.pressure), row
 
+    def rollouts(self, compile: str, rows: int = 1) -> Step | None:
+        """See `LookaheadController.rollouts`; None of a controller that does not look ahead."""
+        controller = self.controller
+        return controller.rollouts(compile, rows) if isinstance(controller, LookaheadController) else None
+
+    def look_ahead(self, now: LoopState, time: Tensor, run: Step | None) -> LoopState:
+        """The loop once its controller has looked ahead from the period that began at `time` () s, if it does."""
+        if not isinstance(self.controller, LookaheadController) or isinstance(now.controller, CompositeState):
+            return now
+        return now._replace(controller=self.controller.look_ahead(now.controller, self.trajectory(time), run))
+
     def _reference(
         self, now: LoopState, y: Tensor, share: float, force: Tensor | None = None, pressure: Tensor | None = None
     ) -> TendonReference:
@@ -294,6 +306,7 @@ def simulate_dynamic(
     loop = ClosedLoop(plant, controller, sensors, trajectory, period, abscissae, curvature_places)
     _, time, k, _ = example = loop.blank()
     step = compiled(loop, example, settings.compile, plant.payload.numel())
+    run = loop.rollouts(settings.compile, plant.payload.numel())
     arm = plant.settled(plant.settle, period / plant.substeps, settings.compile, settings.checkpointed)
     now = loop.start(arm, pi_hat, generator)
     poses = now.sensors.queue[..., 0, :, :, :]
@@ -304,7 +317,7 @@ def simulate_dynamic(
     def one(now: LoopState, time: Tensor, k: Tensor, draws: Draws) -> tuple[LoopState, tuple[Tensor, ...]]:
         before = now
         now, row = step(now, time, k, draws)
-        return now, (time, *row, estimated(before))
+        return loop.look_ahead(now, time, run), (time, *row, estimated(before))
 
     steps = round(settings.duration * settings.control_rate) + 1
     now, fields = rollout(one, now, arguments, steps, settings.checkpointed, progress)

@@ -52,6 +52,7 @@ class Pursuit:
         )
         with torch.inference_mode():
             self.step_loop = compiled(self.loop, self.loop.blank(), settings.compile, 1)
+            self.rollouts = self.loop.rollouts(settings.compile)
             self.rest = self.plant.settled(self.plant.settle, self.period / self.plant.substeps, settings.compile)
         self.true = Outline(self.plant.backbone, self.arm.n_sections, self.plant.routing)
         self.model = Outline(self.controller.backbone, self.controller.backbone.n_sections)
@@ -94,7 +95,8 @@ class Pursuit:
         with torch.inference_mode():
             draws = self.loop.draw(self.now.sensors.queue[..., 0, :, :, :], self.generator)
             time, k = self.zero + self.time, torch.tensor(self.steps)
-            self.now, row = self.step_loop(self.now, time, k, draws)
+            now, row = self.step_loop(self.now, time, k, draws)
+            self.now = self.loop.look_ahead(now, time, self.rollouts)
             # As the loop's log has them: q_bar belongs to the rest lengths before the step.
             self.x, self.q, self.q_bar, self.lengths, self.u = row[1], row[2], row[3], row[5], row[-2]
         self.steps += 1

@@ -244,7 +244,7 @@ def compare(settings: Settings, defaults: Settings, name: str) -> None:
     ("group", "choice"),
     [
         *(("adaptation", "normalised"), ("adaptation", "estimator_aware"), ("adaptation", "shape")),
-        *(("dynamics_law", "composite"), ("model", "pcc"), ("model", "affine")),
+        *(("dynamics_law", "composite"), ("lookahead", "mppi"), ("model", "pcc"), ("model", "affine")),
         *(("plant", "sections"), ("sensors", "perfect"), ("feedback", "pose")),
     ],
 )
