@@ -19,7 +19,7 @@ from composed import composed
 PARTS = ("pose_filter.delay=1", "integral.gain=1", "plant.transmission.friction=0.1", "arm.tendons.offsets=0.02")
 RUNS = {
     "kinematic": ("experiment=kinematic", "dynamics_law=composite", *PARTS),
-    "shape": ("experiment=dynamic_run_2",),
+    "shape": ("experiment=dynamic_run_2", "lookahead=mppi"),
     "affine": ("experiment=robot_2", "adaptation=partial", "model=affine"),
     "strain": ("experiment=tracking", "model=constant_strain"),
 }
