@@ -7,7 +7,8 @@ from collections.abc import Callable
 from typing import Any
 
 import torch
-from subjects import LENGTHS, SENSORS, floor, states
+from peer_rigid_chain import tip_and_jacobian
+from subjects import LENGTHS, SENSORS, arm_of, floor, soromox, states
 from timing import timed
 
 from apcc_torch import PCCBackbone, StateFeedback, decouple
@@ -23,21 +24,36 @@ Subject = tuple[Callable[..., Any], tuple[Any, ...]]
 
 
 def kinematics(table: Any, options: argparse.Namespace) -> None:
-    """Every subject at every batch."""
+    """Every subject at every batch, tip and Jacobian beside others'."""
+    _beside(table, options)
     for batch in BATCHES:
         threads = 1 if batch == 1 else options.threads
         for name, (function, given) in subjects(batch).items():
-            eager, fast = f"{name}_batch_{batch}", f"{name}_batch_{batch}_aot"
-            if eager not in table.rows:
-                table.add(eager, batch, threads,
-                          lambda f=function, g=given: timed(lambda: f(*g), options.budget))  # fmt: skip
-            if options.only is not None and options.only not in fast:
+            fast = f"{name}_batch_{batch}_aot"
+            table.add(f"{name}_batch_{batch}_eager", batch, threads,
+                      lambda f=function, g=given: timed(lambda: f(*g), options.budget))  # fmt: skip
+            if not table.wants(fast):
                 continue  # without building it
             row = tuple(value[0] if batch > 1 and value.shape[0] == batch else value for value in given)
             step = NativeFunction(function, row, threads=threads)
             table.add(fast, batch, threads,
                       lambda s=step, g=given: timed(lambda: s(*g), options.budget) | floor(s))  # fmt: skip
-            table.compare(fast, eager, "eager")
+            for other in ("eager", "rigid_chain", "soromox"):
+                table.compare(fast, f"{name}_batch_{batch}_{other}", other)
+
+
+def _beside(table: Any, options: argparse.Namespace) -> None:
+    """Tip and Jacobian by pytorch-kinematics and SoRoMoX."""
+    L0 = torch.tensor(LENGTHS, dtype=D)
+    peer = soromox(arm_of(L0)) if table.wants("tip_and_jacobian_batch_4096_soromox") else None
+    for batch in BATCHES:
+        q = states(3, max(batch, 2), D)[0][:batch]
+        threads, name = 1 if batch == 1 else options.threads, f"tip_and_jacobian_batch_{batch}"
+        chain = tip_and_jacobian(q, L0)
+        table.add(f"{name}_rigid_chain", batch, threads, lambda c=chain: timed(c, options.budget))
+        if peer is not None:
+            call = peer.tip_and_jacobian(q if batch > 1 else q[0])
+            table.add(f"{name}_soromox", batch, threads, lambda c=call: timed(c, options.budget))
 
 
 def subjects(batch: int) -> dict[str, Subject]:

@@ -56,6 +56,7 @@ class Peer:
         self.model: Any = PCS.from_links(links, structure=structure, gravity=world, backend="jax")
         # Its coordinates per unit of the toolkit's: curvatures (-y, x) / L0 and strain dL / L0.
         block = torch.tensor([[0, -1, 0], [1, 0, 0], [0, 0, 1]], dtype=torch.float64)
+        self.length = float(ours.lengths.sum())
         self.change = torch.block_diag(*(block / length for length in lengths))
 
     @staticmethod
@@ -79,6 +80,13 @@ class Peer:
         """qddot in the toolkit's coordinates."""
         found = torch.from_numpy(np.array(self.forward(q, qdot)()))
         return torch.linalg.solve(self.change, found[..., q.shape[-1] :].unsqueeze(-1)).squeeze(-1)
+
+    def tip_and_jacobian(self, q: Tensor) -> Callable[[], Any]:
+        """A jitted call of the tip's pose and Jacobian at q, (R, n) or (n,)."""
+        one = self.model.forward_kinematics_and_jacobian_inertialframe
+        step = jax.jit(jax.vmap(lambda y: one(y, self.length)) if q.dim() > 1 else lambda y: one(y, self.length))
+        y = jax.numpy.array((q @ self.change.mT).numpy())
+        return lambda: jax.block_until_ready(step(y))
 
     def rollout(self, q: Tensor, qdot: Tensor, duration: float, dt: float) -> Callable[[], Any]:
         """A jitted open-loop rollout of one row, Tsit5 with a fixed step."""

@@ -1,4 +1,4 @@
-"""The README's speed table from docs/speed.json: `python benchmarks/readme.py` writes it between its two marks.
+"""The speed tables of README and docs/speed.md from docs/speed.json: `python benchmarks/readme.py` writes them.
 
 docs/speed.json is what `python benchmarks/run.py --out docs/speed.json` saved last.
 """
@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from page import between
 
@@ -16,17 +16,57 @@ from apcc_torch.files import write_atomically
 ROOT = Path(__file__).resolve().parent.parent
 BEGIN, END = "<!-- speed: python benchmarks/readme.py -->", "<!-- /speed -->"
 
-# What is said of a row, its eager twin, its peer's row, and the peer's name.
-LINES = (
-    ("control step, one arm", "control_step_float64_batch_1", "control_step_numpy", "NumPy"),
-    ("control step, 4096 arms", "control_step_float64_batch_4096", None, ""),
-    ("forward dynamics, one arm", "forward_dynamics_batch_1", "forward_dynamics_batch_1_soromox", "SoRoMoX"),
-    ("forward dynamics, 256 arms", "forward_dynamics_batch_256", "forward_dynamics_batch_256_soromox", "SoRoMoX"),
-    ("forward dynamics, 4096 arms", "forward_dynamics_batch_4096", "forward_dynamics_batch_4096_soromox", "SoRoMoX"),
-    ("closed loop, a second of one arm", "closed_loop_1_rows", "rollout_second_soromox_1_row", "SoRoMoX, open loop"),
-    ("closed loop, a second of 60 arms", "closed_loop_60_rows", None, ""),
-    ("closed loop, a second of 4096 arms", "closed_loop_4096_rows", None, ""),
-)
+CLOCK, LANES, UNITS = 2.5e9, 8, 2
+"""Of the floors: Hz, doubles of one vector, and vector operations in one cycle."""
+
+
+class Line(NamedTuple):
+    """What is said of a subject, the start of its rows' names, and other makers' rows with what they are called."""
+
+    what: str
+    name: str
+    compiled: str = "aot"
+    peers: tuple[tuple[str, str], ...] = ()
+
+
+ONE_STEP = "control_step_float64_batch_1"
+README = (
+    Line("control step, one arm", ONE_STEP, "standing", (("NumPy", "control_step_numpy"),)),
+    Line("control step, 4096 arms", "control_step_float64_batch_4096"),
+    Line("tip and Jacobian, 4096 arms", "tip_and_jacobian_batch_4096", peers=(("SoRoMoX", "soromox"),)),
+    Line("forward dynamics, one arm", "forward_dynamics_batch_1", peers=(("SoRoMoX", "soromox"),)),
+    Line("forward dynamics, 4096 arms", "forward_dynamics_batch_4096", peers=(("SoRoMoX", "soromox"),)),
+    Line("closed loop, a second of one arm", "closed_loop_1_rows",
+         peers=(("SoRoMoX, open loop", "rollout_second_soromox_1_row"),)),
+    Line("closed loop, a second of 4096 arms", "closed_loop_4096_rows"),
+)  # fmt: skip
+TORCH = (("torch.compile", "inductor"), ("AOTInductor", "aot_inductor"), ("NumPy", "control_step_numpy"))
+CHAIN = (("SoRoMoX", "soromox"), ("pytorch-kinematics", "rigid_chain"))
+CABLE = (("MuJoCo's cable, one", "rod_dynamics_mujoco_cable"),)
+ALL = (
+    Line("control step, one arm, called with tensors", ONE_STEP, peers=TORCH),
+    Line("the same, a standing call", ONE_STEP, "standing"),
+    Line("the same, after 20 ms of sleep", ONE_STEP, "standing_after_20_ms"),
+    Line("control step, 64 arms", "control_step_float64_batch_64"),
+    Line("control step, 4096 arms", "control_step_float64_batch_4096", peers=TORCH[:1]),
+    Line("the step that ships, one arm, called with tensors", "shape_step_float64_batch_1"),
+    Line("the step that ships, 4096 arms", "shape_step_float64_batch_4096"),
+    Line("tip and Jacobian, one arm", "tip_and_jacobian_batch_1", peers=CHAIN),
+    Line("tip and Jacobian, 4096 arms", "tip_and_jacobian_batch_4096", peers=CHAIN),
+    Line("regressor, 4096 arms", "regressor_batch_4096"),
+    Line("algorithm 2, five iterations, 4096 arms", "algorithm_2_batch_4096"),
+    Line("forward dynamics, one arm", "forward_dynamics_batch_1", peers=CHAIN[:1]),
+    Line("forward dynamics, 256 arms", "forward_dynamics_batch_256", peers=CHAIN[:1]),
+    Line("forward dynamics, 4096 arms", "forward_dynamics_batch_4096", peers=CHAIN[:1]),
+    Line("forward dynamics of a rod, one", "rod_dynamics_batch_1", peers=CABLE),
+    Line("forward dynamics of a rod, 4096", "rod_dynamics_batch_4096", peers=CABLE),
+    Line("open loop, a second of one arm", "open_loop_1_rows",
+         peers=(("SoRoMoX", "rollout_second_soromox_1_row"),)),
+    Line("open loop, a second of 4096 arms", "open_loop_4096_rows"),
+    Line("closed loop, a second of one arm", "closed_loop_1_rows"),
+    Line("closed loop, a second of 60 arms", "closed_loop_60_rows"),
+    Line("closed loop, a second of 4096 arms", "closed_loop_4096_rows"),
+)  # fmt: skip
 
 
 def spelled(microseconds: float) -> str:
@@ -37,39 +77,71 @@ def spelled(microseconds: float) -> str:
     return f"{microseconds:.3g} µs"
 
 
+def shown(line: Line, speed: dict[str, Any]) -> tuple[str, str, str, str]:
+    """Eager, compiled, how many times as fast, and the peers, of one line."""
+    compiled = speed[f"{line.name}_{line.compiled}"]["us_a_row"]
+    eager = speed.get(f"{line.name}_eager", {}).get("us_a_row")
+    beside = []
+    for maker, row in line.peers:
+        found = speed[row if row in speed else f"{line.name}_{row}"]["us_a_row"]
+        beside.append(f"{maker}: {spelled(found)}, {found / compiled:.{0 if found > 9.5 * compiled else 1}f}×")
+    if eager is None:
+        return "", spelled(compiled), "", "; ".join(beside)
+    return spelled(eager), spelled(compiled), f"{eager / compiled:.0f}×", "; ".join(beside)
+
+
 def table(speed: dict[str, Any]) -> str:
-    """The table and what it was measured on, as Markdown."""
+    """The README's table and what it was measured on, as Markdown."""
     lines = ["| an arm's share of | eager | compiled | | beside |", "|---|---|---|---|---|"]
-    for what, name, peer, peer_name in LINES:
-        eager, compiled = speed[f"{name}_eager"], speed[f"{name}_aot"]
-        beside = ""
-        if peer is not None:
-            times = speed[peer]["us_a_row"] / compiled["us_a_row"]
-            beside = f"{peer_name}: {spelled(speed[peer]['us_a_row'])}, {times:.0f}×"
-        gain = eager["us_a_row"] / compiled["us_a_row"]
-        lines.append(
-            f"| {what} | {spelled(eager['us_a_row'])} | {spelled(compiled['us_a_row'])} | {gain:.0f}× | {beside} |"
-        )
+    lines += [f"| {line.what} | {' | '.join(shown(line, speed))} |" for line in README]
+    return "\n".join([*lines, "", measured(speed)])
+
+
+def whole_table(speed: dict[str, Any]) -> str:
+    """The table of docs/speed.md: tails and floors too."""
+    rod = speed["rod_pieces"]
+    lines = [
+        "| an arm's share of | eager | compiled | | p99.9 of the call | floor | beside |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    for line in ALL:
+        eager, compiled, gain, beside = shown(line, speed)
+        row = speed[f"{line.name}_{line.compiled}"]
+        tail = spelled(row["p999_us"]) if "p999_us" in row else ""
+        least = ""
+        if "operations" in row:
+            lanes = 1 if line.name.endswith("_batch_1") else LANES
+            least = spelled(1e6 * row["operations"] / (CLOCK * lanes * UNITS * row["threads"]))
+        lines.append(f"| {line.what} | {eager} | {compiled} | {gain} | {tail} | {least} | {beside} |")
+    said = (
+        f"The rod is clamped level and bends under its weight: {rod['sections']} sections, and MuJoCo's cable of "
+        f"{rod['cable_edges']} edges, have its tip at rest within {100 * rod['accuracy']:g} % of its length. Floors: "
+        f"{UNITS} operations a cycle at {CLOCK / 1e9:g} GHz on each core in use, of {LANES} doubles each, for one arm of "
+        "one."
+    )
+    return "\n".join([*lines, "", said, "", measured(speed)])
+
+
+def measured(speed: dict[str, Any]) -> str:
+    """What a run was measured on, and how long a program takes to begin."""
     machine, cold = speed["machine"], speed["cold_start"]
-    lines += [
-        "",
+    return (
         f"From nothing to the first tip position: {spelled(cold['median_us'])}, all but "
         f"{spelled(cold['without_torch_us'])} of it the import of torch. Medians, float64, {machine['cpus']} cores of "
-        f"an {machine['processor']}, torch {machine['torch']}, Python {machine['python']}.",
-    ]
-    return "\n".join(lines)
+        f"an {machine['processor']}, torch {machine['torch']}, Python {machine['python']}."
+    )
 
 
-def with_table(readme: str, speed: dict[str, Any]) -> str:
-    """The README with the table in its place."""
-    return between(readme, BEGIN, END, table(speed))
+def with_table(text: str, speed: dict[str, Any], whole: bool = False) -> str:
+    """The page with its table in its place."""
+    return between(text, BEGIN, END, whole_table(speed) if whole else table(speed))
 
 
 def main() -> None:
-    """Writes the README."""
-    readme = ROOT / "README.md"
+    """Writes both pages."""
     speed = json.loads((ROOT / "docs" / "speed.json").read_text(encoding="utf-8"))
-    write_atomically(readme, with_table(readme.read_text(encoding="utf-8"), speed))
+    for page, whole in ((ROOT / "README.md", False), (ROOT / "docs" / "speed.md", True)):
+        write_atomically(page, with_table(page.read_text(encoding="utf-8"), speed, whole))
 
 
 if __name__ == "__main__":

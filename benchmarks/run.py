@@ -2,7 +2,8 @@
 
 Every row is the median of many calls in one process; ratios are between rows of the same run, for machines are noisy.
 Rows at batch 1 use one thread. `floor` gives the scalar operations and the bytes in and out of one row of the same
-formulas, as the compiler counts them. Peers are timed beside where they are installed (pip install -e '.[oracle]').
+formulas, as the compiler counts them. Peers are timed beside where they are installed (pip install -e '.[oracle]'):
+NumPy, torch's own compilers, SoRoMoX, MuJoCo's cable at equal accuracy, and pytorch-kinematics.
 Machine code is built once, which takes a few minutes at the first run, and is kept (APCC_CACHE).
 `--device cuda` times the eager rows on a GPU instead.
 """
@@ -10,8 +11,6 @@ Machine code is built once, which takes a few minutes at the first run, and is k
 from __future__ import annotations
 
 import argparse
-import importlib
-import importlib.util
 import itertools
 import os
 import platform
@@ -24,15 +23,14 @@ from typing import Any
 
 import torch
 from kinematics import kinematics
+from peer_compilers import compilers
 from peer_numpy import prepared
-from peer_rigid_chain import tip_and_jacobian
-from subjects import LENGTHS, SENSORS, closed_loop, dynamics, floor, one_row, plant, shipped, states, steps
+from rods import rods
+from subjects import SENSORS, closed_loop, dynamics, floor, one_row, plant, shipped, soromox, states, steps
 from timing import timed, timed_steps
 
 import apcc_torch
-from apcc_torch import PCCBackbone
 from apcc_torch.files import write_json
-from apcc_torch.model.backbone import HANGING
 from apcc_torch.native.function import NativeFunction
 from apcc_torch.native.standing import StandingCall
 from apcc_torch.native.structure import flattened, rebuilt
@@ -51,9 +49,13 @@ class Table:
         self.only = only
         print(f"{'row':<50}{'median us':>12}{'p99.9 us':>12}{'us a row':>12}{'rows/s':>14}")
 
+    def wants(self, name: str) -> bool:
+        """Whether a row of this name is asked for."""
+        return self.only is None or self.only in name
+
     def add(self, name: str, batch: int, threads: int, job: Callable[[], Row]) -> None:
         """Runs one row's job with so many threads."""
-        if self.only is not None and self.only not in name:
+        if not self.wants(name):
             return
         torch.set_num_threads(threads)
         found = job()
@@ -77,7 +79,7 @@ def control_steps(table: Table, options: argparse.Namespace) -> None:
         for batch in BATCHES:
             name = f"control_step_{label}_batch_{batch}"
             threads = 1 if batch == 1 else options.threads
-            if options.only is not None and options.only not in name + "_aot":
+            if not table.wants(name + "_aot"):
                 continue
             count = 400 if batch == 1 else 25
             c, inputs = steps(batch, dtype, count)
@@ -117,7 +119,7 @@ def shape_steps(table: Table, options: argparse.Namespace) -> None:
     """The step of the controller that ships, eager and as machine code."""
     for batch in BATCHES:
         name = f"shape_step_float64_batch_{batch}"
-        if options.only is not None and options.only not in name + "_aot":
+        if not table.wants(name + "_aot"):
             continue
         threads, count = (1, 200) if batch == 1 else (options.threads, 25)
         c, inputs = steps(batch, D, count, shipped)
@@ -149,10 +151,9 @@ def standing(step: NativeFunction, given: tuple[Any, ...]) -> Callable[[], None]
 def forward_dynamics(table: Table, options: argparse.Namespace) -> None:
     """Six sections, beside SoRoMoX."""
     arm = dynamics(6, D)
-    peer: Any = None
-    if importlib.util.find_spec("soromox") is not None and options.device == "cpu":
-        # Only here, and only where it is installed: it takes seconds to load.
-        peer = importlib.import_module("peer_soromox").Peer(arm)
+    wanted = table.wants("forward_dynamics_batch_4096_soromox") or table.wants("rollout_second_soromox_1_row")
+    peer = soromox(arm) if wanted and options.device == "cpu" else None
+    if peer is not None:
         q, qdot, tau = states(6, 8, D)
         wrong = float((peer.acceleration(q, qdot) - arm(q, qdot, tau)).abs().max() / arm(q, qdot, tau).abs().max())
         print(f"  SoRoMoX has the same arm: accelerations differ by {wrong:.0e} of the largest")
@@ -185,21 +186,6 @@ def forward_dynamics(table: Table, options: argparse.Namespace) -> None:
         q, qdot, _ = states(6, 1, D)
         call = peer.rollout(0.0 * q, 0.0 * qdot, 1.0, 5e-4)
         table.add("rollout_second_soromox_1_row", 1, 1, lambda: timed(call, options.budget, least=3))
-
-
-def backbones(table: Table, options: argparse.Namespace) -> None:
-    """Tip and Jacobian of three sections, beside pytorch-kinematics."""
-    backbone = PCCBackbone(3, torch.tensor(HANGING, dtype=D))
-    L0 = torch.tensor(LENGTHS, dtype=D)
-    for batch in BATCHES:
-        q = states(3, max(batch, 2), D)[0][:batch]
-        threads = 1 if batch == 1 else options.threads
-        table.add(f"tip_and_jacobian_batch_{batch}", batch, threads,
-                  lambda q=q: timed(lambda: backbone.tip_and_jacobian(q, L0), options.budget))  # fmt: skip
-        chain = tip_and_jacobian(q, L0)
-        table.add(f"tip_and_jacobian_batch_{batch}_rigid_chain", batch, threads,
-                  lambda c=chain: timed(c, options.budget))  # fmt: skip
-        table.compare(f"tip_and_jacobian_batch_{batch}", f"tip_and_jacobian_batch_{batch}_rigid_chain", "rigid_chain")
 
 
 def loops(table: Table, options: argparse.Namespace) -> None:
@@ -279,11 +265,12 @@ def main() -> None:
         table.add("cold_start", 1, 1, cold_start)
         control_steps(table, options)
         if options.device == "cpu":
+            compilers(table, options)
             shape_steps(table, options)
         forward_dynamics(table, options)
         scaling(table, options)
         if options.device == "cpu":
-            backbones(table, options)
+            rods(table, options)
             kinematics(table, options)
             loops(table, options)
     table.rows["machine"] = {

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import importlib
+import importlib.util
 from collections.abc import Callable
 from math import pi
 from typing import Any
@@ -95,10 +97,19 @@ def one_row(item: Any, batch: int) -> Any:
 
 def dynamics(n: int, dtype: torch.dtype) -> SoftArmDynamics:
     """The arm of section V-B with n sections."""
-    lengths = torch.tensor(PLANT, dtype=dtype) if n == 6 else torch.full((n,), 0.6 / n, dtype=dtype)
+    return arm_of(torch.tensor(PLANT, dtype=dtype) if n == 6 else torch.full((n,), 0.6 / n, dtype=dtype))
+
+
+def arm_of(lengths: Tensor) -> SoftArmDynamics:
+    """An arm of these sections, m, of the material of section V-B, of 1 kg."""
     axial, bending = scaled_stiffness(lengths)
-    base = torch.tensor(HANGING, dtype=dtype)
+    base = torch.tensor(HANGING, dtype=lengths.dtype)
     return SoftArmDynamics(lengths, lengths / lengths.sum(), axial, bending, damping_ratio=0.1, base_rotation=base)
+
+
+def soromox(arm: SoftArmDynamics) -> Any:
+    """SoRoMoX's model of an arm; None where it is not installed. It is imported only here: it takes seconds to load."""
+    return importlib.import_module("peer_soromox").Peer(arm) if importlib.util.find_spec("soromox") else None
 
 
 def states(n: int, batch: int, dtype: torch.dtype) -> tuple[Tensor, Tensor, Tensor]:

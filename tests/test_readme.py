@@ -5,15 +5,17 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import pytest
 import readme
 
 ROOT = Path(__file__).resolve().parent.parent
 
 
-def test_the_speed_table_is_the_saved_one() -> None:
-    text = (ROOT / "README.md").read_text(encoding="utf-8")
+@pytest.mark.parametrize(("page", "whole"), [("README.md", False), ("docs/speed.md", True)])
+def test_the_speed_tables_are_the_saved_one(page: str, whole: bool) -> None:
+    text = (ROOT / page).read_text(encoding="utf-8")
     speed = json.loads((ROOT / "docs" / "speed.json").read_text(encoding="utf-8"))
-    assert readme.with_table(text, speed) == text
+    assert readme.with_table(text, speed, whole) == text
 
 
 def test_times_in_words() -> None:
