@@ -116,7 +116,7 @@ def test_over_a_long_period_no_more_than_the_elongation_is_taken_over() -> None:
 
 
 def test_in_contact_the_rest_lengths_rest_and_the_status_says_why() -> None:
-    controller, state, _, q, y = held(ARM, 0.4, 100)
+    controller, state, _, q, y = held(ARM, 0.4, 100, time_constant=0.5)
     lengths = ARM.refined(2)
     T = PCCBackbone(6, ARM.base_rotation()).pose(q, lengths, *decouple(ARM.sensor_places(), lengths))
     # What pushes at the middle moves it by 10 cm against both its neighbours.
