@@ -37,11 +37,11 @@ from apcc_torch.simulation.metrics import backbone_error
 from apcc_torch.simulation.progress import quiet
 
 RUNS = ("B/robot_2", "V/picked_up_softer")
-INSTANTS = 8
+INSTANTS = 4
 """Of each row."""
 POINTS = 41
 """Of a backbone."""
-ROUNDS = 6
+ROUNDS = 4
 """Of reweighting."""
 LAST = 5.0
 """s of a run of the variations that count; of the paper's all of it does."""
@@ -100,7 +100,9 @@ def fitted(config: SimulateSettings, arms: Arms, points: Tensor, q: Tensor, pi: 
 
 def least(arms: Arms, points: Tensor, q: Tensor, pi: Tensor) -> float:
     """The least mean distance of any bends and lengths from points (N, 3), m."""
-    lengths, model, target = pi + q[model_elongations(arms)], arms.model, points.numpy()
+    model, target = arms.model, points.numpy()
+    places = model.coordinates.elongations
+    lengths = pi + q[places]
 
     def placed(z: np.ndarray) -> np.ndarray:
         # One number of a section says how long it is: its elongation, of the law's rest lengths.
@@ -110,7 +112,7 @@ def least(arms: Arms, points: Tensor, q: Tensor, pi: Tensor) -> float:
         return np.asarray(np.linalg.norm(target - placed(z), axis=-1))
 
     start = q.clone()
-    start[model_elongations(arms)] = 0.0
+    start[places] = 0.0
     best = np.inf
     for z in (start.numpy(), np.zeros(model.n)):
         for _ in range(ROUNDS):
@@ -120,22 +122,16 @@ def least(arms: Arms, points: Tensor, q: Tensor, pi: Tensor) -> float:
     return best
 
 
-def model_elongations(arms: Arms) -> slice:
-    """Where q holds the sections' elongations."""
-    return arms.model.coordinates.elongations
-
-
 def configured(run: str) -> tuple[SimulateSettings, float]:
     """The settings of COMPARISON/RUN, and from when on it counts, s."""
     comparison, _, name = run.partition("/")
     grid = "variations" if comparison == "V" else "paper"
     with initialised():
-        config = typed(compose("benchmark", [f"grid={grid}", "experiments.common=[compile=auto]"]), BenchmarkSettings)
+        config = typed(compose("benchmark", [f"grid={grid}", 'experiments.common=["compile=auto"]']), BenchmarkSettings)
     grids = compose_grids(config)
     if name not in grids.get(comparison, {}):
-        raise SystemExit(
-            f"there is no run {run}: it is one of {', '.join(f'{c}/{r}' for c in grids for r in grids[c])}"
-        )
+        known = ", ".join(f"{c}/{r}" for c, runs in grids.items() for r in runs)
+        raise SystemExit(f"there is no run {run}, but {known}")
     settings = grids[comparison][name]["adaptive"].config
     settings = replace(settings, controller=settings.controller.changed(adaptive=True))
     return settings, settings.experiment.duration - LAST if comparison == "V" else 0.0
