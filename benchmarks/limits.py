@@ -43,6 +43,8 @@ POINTS = 41
 """Of a backbone."""
 ROUNDS = 4
 """Of reweighting."""
+STEP = 1e-6
+"""Of a difference, rad and m."""
 LAST = 5.0
 """s of a run of the variations that count; of the paper's all of it does."""
 
@@ -111,13 +113,26 @@ def least(arms: Arms, points: Tensor, q: Tensor, pi: Tensor) -> float:
     def distances(z: np.ndarray) -> np.ndarray:
         return np.asarray(np.linalg.norm(target - placed(z), axis=-1))
 
+    def slopes(z: np.ndarray) -> np.ndarray:
+        # Central differences, all at once.
+        steps = STEP * np.eye(model.n)
+        ahead, behind = placed(np.concatenate((z + steps, z - steps))).reshape(2, model.n, -1)
+        return np.asarray((behind - ahead).T / (2.0 * STEP))
+
     start = q.clone()
     start[places] = 0.0
     best = np.inf
     for z in (start.numpy(), np.zeros(model.n)):
         for _ in range(ROUNDS):
-            weight = 1.0 / np.sqrt(np.maximum(distances(z), 0.05 * distances(z).mean() + 1e-9))
-            z = least_squares(lambda z, w=weight: ((target - placed(z)) * w[:, None]).ravel(), z, method="lm").x
+            off = distances(z)
+            weight = np.repeat(1.0 / np.sqrt(np.maximum(off, 0.05 * off.mean() + 1e-9)), 3)
+            z = least_squares(
+                lambda z, w=weight: w * (target - placed(z)).ravel(),
+                z,
+                jac=lambda z, w=weight: w[:, None] * slopes(z),
+                method="lm",
+                max_nfev=100,
+            ).x
             best = min(best, float(distances(z).mean()))
     return best
 
