@@ -200,7 +200,7 @@ class APCCController(Part):
             ShapeError, DtypeError: The arguments do not fit each other.
         """
         batch = check_step(state, measurement, target, self.feedback.abscissae.shape[-1], self.shape)
-        pi_hat = state.pi_hat
+        pi_hat, memories = state.pi_hat, state.memories
         dt = elapsed(state.time, measurement.time, self.integration_limit, pi_hat)
         expected, T = self.filtered(state, measurement, dt)
         shape, inference = self._inferred(state, measurement, T, dt)
@@ -214,13 +214,14 @@ class APCCController(Part):
             chain, dq_dpi = self.backbone.chain(q_bar.expand(*batch, q_bar.shape[-1]), pi_hat), None
         x, tip_seen = measured_tip(measurement, chain.tip, valid, self.feedback.kinds)
         e = target.x_d - x
-        # Where the tip is not measured e is the model's own; without a target or an estimate there is none. Then it is
-        # not integrated, and teaches nothing.
+        # Without a measured tip, a target or an estimate e is not integrated, and teaches nothing.
         e_seen = torch.where((tip_seen & valid & torch.isfinite(e).all(-1)).unsqueeze(-1), e, 0.0)
         integral = state.integral
         if self.integral is not None and integral is not None:
             integral = self.integral(integral, e_seen, dt)
         wanted = e if integral is None else e + integral
+        if self.shape is not None and shape is not None:
+            shape, wanted = self.shape.ahead(shape, x, wanted, target.xdot_d, dt)
         reference = ReferenceBounds.of(self.backbone.coordinates, self.bend_bound, self.elongation_bound)
         bounds = None if reference is None else reference.rates(state.q_d, dt)
         if self.pressure is not None and state.pressure is not None:
@@ -228,7 +229,6 @@ class APCCController(Part):
         driven = self._driven(q_bar, pi_hat, chain, shape, batch)
         qdot, limits = self._solve(state, measurement, target, *driven, wanted, dt, bounds)
         qdot, q_d, limits = moved(state.q_d, qdot, dt, e, valid, reference, bounds, limits)
-        memories = state.memories
         if self.adaptive and self.laws:
             velocity = qdot_bar if self.velocity == "measured" else qdot
             seen = [value.expand(*batch, value.shape[-1]) for value in (q_bar, inference.pi_hat, velocity)]

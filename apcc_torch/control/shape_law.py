@@ -22,7 +22,7 @@ class ShapeLawSettings(ShapeFeedbackSettings):
     """Settings of `ShapeLaw`, and of the `ShapeFeedback` that it works beside."""
 
     time_constant: Setting | None = setting(
-        0.15, "s", OURS, "in which the rest lengths take the elongations over; null: never", rows="number", above=0
+        0.05, "s", OURS, "in which the rest lengths take the elongations over; null: never", rows="number", above=0
     )
 
 
@@ -47,7 +47,7 @@ class ShapeLaw(LengthLaw):
     Example:
         >>> controller = APCCController.for_arm(Arm(lengths=[0.2, 0.25], mass=0.4))
         >>> controller.laws[0].time_constant, controller.shape.shape.refine
-        (0.15, 2)
+        (0.05, 2)
     """
 
     settings_type = ShapeLawSettings

@@ -45,13 +45,12 @@ class ArcFitSettings(Settings):
 class ArcFit(Part):
     """Fits a model to points of a curve: sections l_i = pi_i + dL_i whose lengths are drawn to the nominal ones,
 
-        V(q) = sum |across_j|^2 / (N (sigma L)^2) + sum ((l_i - L_i) / (rho L_i))^2,  L = sum L_i,
+        V(q) = sum |p_j - x_j|^2 / (N (sigma L)^2) + sum ((l_i - L_i) / (rho L_i))^2,  L = sum L_i,
 
-    across_j the N points' distances from the model across its backbone, and at the tip the whole distance. A point
-    belongs to the model's point that lies as far along it, so how the curve is stretched does not matter. l alone
-    counts: how much of it is rest length and how much elongation, shape does not tell. What is off along the backbone
-    does not count, but becomes across where the backbone turns: a step that leaves this out does not lead down V, and
-    has fits from which it runs away.
+    p_j the N points and x_j the model's points that lie as far along it, over its length: the distances of Eq. (52)
+    [Dalenberg]. How the curve is stretched does not matter. l alone counts: how much of it is rest length and how much
+    elongation, shape does not tell. A section that grows slides all points along the backbone; a step that leaves this
+    out does not lead down V.
 
     Args:
         backbone: The model.
@@ -99,19 +98,18 @@ class ArcFit(Part):
         at = backbone.material_points(pi_hat, *located(share * lengths.sum(-1, keepdim=True), lengths))
         chain = backbone.chain_to(q, at)
         N = share.shape[-1]
-        # In a point's own axes the backbone runs along z.
-        one = torch.ones_like(points[..., :1])
-        along = torch.cat((torch.zeros_like(one[..., 1:, :]), one[..., :1, :]), dim=-2)
-        noise = aligned(self.curve_noise, 0) * nominal.sum(-1)
-        across = torch.cat((one, one, along), dim=-1) / (noise[..., None, None] * N**0.5)
+        weight = 1.0 / (aligned(self.curve_noise, 0) * nominal.sum(-1) * N**0.5)[..., None]
         off = chain.rotation.mT @ (points - chain.tip).unsqueeze(-1)
         turning, moving = chain.body_jacobian().split(3, dim=-2)
-        r = (off.squeeze(-1) * across).flatten(-2)
+        r = off.squeeze(-1).flatten(-2) * weight
         # d(R^T (p_j - p)) = -(moving - off x turning) dq
         near = NEAR * nominal.sum(-1)[..., None, None, None]
         seen = off * near / torch.sqrt(near**2 + off.square().sum(-2, keepdim=True))
         closing = moving - torch.linalg.cross(seen.expand_as(turning), turning, dim=-2)
-        J = (closing * across.unsqueeze(-1)).flatten(-3, -2)
+        # In a point's own axes the backbone runs along z.
+        slide = backbone.coordinates.on_elongations(share.unsqueeze(-1) - at.fraction).unsqueeze(-2)
+        closing = closing + torch.cat((torch.zeros_like(slide), torch.zeros_like(slide), slide), dim=-2)
+        J = closing.flatten(-3, -2) * weight.unsqueeze(-1)
         scale = (aligned(self.length_prior, 1) * nominal).reciprocal().square().expand_as(pi_hat)
         away = (nominal - pi_hat - q[..., places]) * scale
         H = J.mT @ J + torch.diag_embed(backbone.coordinates.on_elongations(scale))

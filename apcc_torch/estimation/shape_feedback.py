@@ -21,6 +21,7 @@ from apcc_torch.model.abscissae import MaterialPoints, located
 from apcc_torch.model.arm import Arm
 from apcc_torch.model.kinematic_model import KinematicModel
 from apcc_torch.part import Part
+from apcc_torch.settings import aligned
 from apcc_torch.shapes import check_tensor
 
 SAMPLES = 2
@@ -33,10 +34,12 @@ class FollowedShape(NamedTuple):
     """What is known of the shape, and what the model made of it.
 
     shape: Of the arm. lengths: (..., n_b) of the model's sections as they were, rest length and elongation, m.
+    tip: (..., 3) x_late of `ShapeFeedback.ahead`, m, infinite before the first step.
     """
 
     shape: ShapeState
     lengths: Tensor
+    tip: Tensor
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,6 +67,9 @@ class ShapeFeedback(Part):
 
     Algorithm 2 meets the sensors, whatever lies between them. Here the shape between them is known first, from
     mechanics, and the model follows all of it.
+
+    A loaded arm is soft where its load pushes it on, and follows late: a loop on where its tip is swings. So the loop
+    acts on where it will be, see `ahead`.
 
     Args:
         shape: Of the arm.
@@ -95,7 +101,7 @@ class ShapeFeedback(Part):
         backbone = self.fit.backbone
         bends, lengths = backbone.coordinates.bends(q), pi_hat + q[..., backbone.coordinates.elongations]
         sections = torch.cat((bends, lengths.unsqueeze(-1)), dim=-1).flatten(-2)
-        return FollowedShape(self.shape.initial_state(sections), lengths)
+        return FollowedShape(self.shape.initial_state(sections), lengths, torch.full_like(sections[..., :3], torch.inf))
 
     def forward(
         self,
@@ -123,7 +129,46 @@ class ShapeFeedback(Part):
         shape = self.shape(state.shape, T, usable, oriented, y, dt, curvature)
         points, share = self.curve(shape)
         q_bar = self.fit(self._seed(q_bar, state, pi_hat), pi_hat, points, share)
-        return FollowedShape(shape, pi_hat + q_bar[..., self.fit.backbone.coordinates.elongations]), q_bar
+        lengths = pi_hat + q_bar[..., self.fit.backbone.coordinates.elongations]
+        return state._replace(shape=shape, lengths=lengths), q_bar
+
+    def ahead(
+        self, state: FollowedShape, x: Tensor, e: Tensor, xdot_d: Tensor, dt: Tensor
+    ) -> tuple[FollowedShape, Tensor]:
+        """The error that the loop acts on: as it will be in T s, at the speeds that tip and target have.
+
+        T = m / M sqrt(L / g): m is the load as it is estimated, M the arm's mass, and sqrt(L / g) the time in which
+        what stands on a length L topples; an arm without load is seen as it is. The error is e - w,
+
+            w = x - x_late - T xdot_d,
+
+        x_late being x behind a low-pass of T. Of w only what exceeds two standard deviations of `position_noise`
+        counts, so a tip that rests is not moved by noise.
+
+        Args:
+            state: Of a step.
+            x: (..., 3) the tip, m.
+            e: (..., 3) its error, m.
+            xdot_d: (..., 3) of its target, m/s.
+            dt: (...) s since the last step.
+
+        Returns:
+            The state with x_late of this step, and the error (..., 3), m.
+        """
+        T = self._topples(state.shape.load).unsqueeze(-1)
+        late = torch.where(torch.isfinite(state.tip), state.tip, x)
+        late = late + (1.0 - torch.exp(-dt.unsqueeze(-1) / T.clamp(min=1e-6))) * (x - late)
+        w = x - late - T * xdot_d
+        noise = 2.0 * aligned(self.shape.position_noise, 1)
+        counts = (1.0 - noise / torch.linalg.vector_norm(w, dim=-1, keepdim=True).clamp(min=1e-12)).clamp(min=0.0)
+        return state._replace(tip=torch.where(torch.isfinite(late), late, state.tip)), e - counts * w
+
+    def _topples(self, load: Tensor) -> Tensor:
+        """T (...) of `ahead`, s, under a load (...) at the tip, kg."""
+        arm = self.shape.dynamics
+        length, mass = (each.to(load).sum(-1) for each in (arm.lengths, arm.masses))
+        # Where nothing weighs anything, no load is felt.
+        return load / mass.clamp(min=1e-9) * (length / arm.gravity_acceleration.to(load).clamp(min=1e-3)).sqrt()
 
     def start(self, q: Tensor, pi_hat: Tensor) -> tuple[FollowedShape, Tensor]:
         """`initial_state`, and the strains that it begins with, for a first q_d (..., n) of the shape of q."""

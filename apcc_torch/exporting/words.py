@@ -46,6 +46,7 @@ MEMBERS: dict[str, Words] = {
     "PoseFilterState.age": Words("s", "since orientation and position were last read"),
     "PoseFilterState.since": Words("m", "motions commanded since, the oldest first"),
     "FollowedShape.lengths": Words("m", "of the model's sections, rest length and elongation"),
+    "FollowedShape.tip": Words("m", "where the tip was, behind a low-pass"),
     "ShapeState.sections": Words("rad, m", "bends rad, rad and length m of the arm's sections"),
     "ShapeState.load": Words("kg", "at the tip"),
     "ShapeState.deviation": Words("rad, m, kg", "standard deviations of the sections' strains and of the load"),

@@ -116,7 +116,7 @@ def test_over_a_long_period_no_more_than_the_elongation_is_taken_over() -> None:
 
 
 def test_in_contact_the_rest_lengths_rest_and_the_status_says_why() -> None:
-    controller, state, _, q, y = held(ARM, 0.4, 100)
+    controller, state, _, q, y = held(ARM, 0.4, 100, time_constant=0.5)
     lengths = ARM.refined(2)
     T = PCCBackbone(6, ARM.base_rotation()).pose(q, lengths, *decouple(ARM.sensor_places(), lengths))
     # What pushes at the middle moves it by 10 cm against both its neighbours.
@@ -155,9 +155,9 @@ ARMS = {
 @pytest.mark.parametrize("name", ARMS)
 def test_on_any_arm_it_is_nearer_than_the_nominal_lengths(name: str) -> None:
     """Two held-out set-points of section V-B with 0.5 kg, once the arm is there."""
-    changes = ["experiment=dynamic_run_2_tuned", "controller.rate=20", "plant.substeps=5", "experiment.duration=6"]
+    changes = ["experiment=dynamic_run_2_tuned", "controller.rate=20", "plant.substeps=5", "experiment.duration=7"]
     changes += ["experiment.payloads=[0.5]", "experiment.setpoints=[[0.215,0.03,-0.515],[0.275,-0.235,-0.42]]"]
-    changes += ["plant.settle=1"]  # it swings on for longer than that, and for less than the six seconds
+    changes += ["plant.settle=1"]  # it swings on for longer than that, and for less than the seven seconds
     settings = compose(*changes, "adaptation=shape", "progress=false", "figures=false", *ARMS[name]).settings
     outcomes = [simulate(settings, adaptive) for adaptive in (False, True)]
     standard, law = (curves(each.log, each.arms) for each in outcomes)

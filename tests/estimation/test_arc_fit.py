@@ -73,10 +73,8 @@ def test_it_ends_at_the_least_of_its_cost() -> None:
         along = SHARE * ends[-1]
         j = torch.searchsorted(ends, along.contiguous()).clamp(max=2)
         X_tilde = ((along - ends[j] + lengths[j]) / lengths[j]).clamp(max=1.0)
-        T = model.pose(q, L0, X_tilde, j)
-        off = (T[:, :3, :3].mT @ (target - T[:, :3, 3]).unsqueeze(-1))[..., 0]
-        rows = torch.cat((off[:, :2].flatten(), off[-1:, 2])) / (4e-4 * N**0.5)
-        return torch.cat((rows, q[2::3] / (0.2 * L0))).numpy()
+        off = target - model.pose(q, L0, X_tilde, j)[:, :3, 3]
+        return torch.cat((off.flatten() / (3e-4 * N**0.5), q[2::3] / (0.2 * L0))).numpy()
 
     for target in points:
         start = fitted(fit, target, L0, steps=100)
