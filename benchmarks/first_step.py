@@ -17,7 +17,8 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
-from typing import Any
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import gymnasium
 import torch
@@ -89,21 +90,43 @@ def seconds(subject: str, *numbers: int) -> list[float]:
     return times
 
 
-def in_a_process(subject: str, *numbers: int) -> list[float]:
-    """The same in a fresh process."""
+def in_a_process(cache: str, subject: str, *numbers: int) -> list[float]:
+    """The same in a fresh process, with machine code kept in a folder."""
     command = [sys.executable, __file__, "--arms", *map(str, numbers), "--", subject]
-    told = subprocess.run(command, check=True, capture_output=True, text=True).stdout
+    environment = os.environ | {"APCC_CACHE": cache}
+    told = subprocess.run(command, check=True, capture_output=True, text=True, env=environment).stdout
     times: list[float] = json.loads(told)
     return times
 
 
-def measured(subject: str) -> dict[str, float]:
-    """Times of the three cases, s."""
+class FirstStep(NamedTuple):
+    """Times of the three cases, s, and the size of the largest library that was built, kB."""
+
+    new: float
+    known: float
+    again: float
+    library: float
+
+
+def measured(subject: str) -> FirstStep:
+    """A subject, once."""
     with tempfile.TemporaryDirectory() as folder:
-        os.environ["APCC_CACHE"] = folder
-        (new,) = in_a_process(subject, 0)
-        known, again = in_a_process(subject, 1, 2)
-    return {"new structure": new, "known, fresh process": known, "known, same process": again}
+        (new,) = in_a_process(folder, subject, 0)
+        known, again = in_a_process(folder, subject, 1, 2)
+        library = max(file.stat().st_size for file in Path(folder).rglob("*.so"))
+    return FirstStep(new, known, again, 1e-3 * library)
+
+
+def first_steps(table: Any, options: argparse.Namespace) -> None:
+    """Rows of the speed table; a quick one has the control step alone."""
+    for subject in list(SUBJECTS)[: 1 if options.quick else None]:
+        name = f"first_step_{subject.replace(' ', '_')}"
+        if not any(table.wants(f"{name}_{case}") for case in FirstStep._fields[:3]):
+            continue
+        *times, library = measured(subject)
+        table.rows[f"{name}_library"] = {"kB": library}
+        for case, took in zip(FirstStep._fields, times, strict=False):
+            table.add(f"{name}_{case}", 1, 1, lambda s=took: {"median_us": 1e6 * s})
 
 
 def main() -> None:
@@ -116,15 +139,13 @@ def main() -> None:
     if given.arms is not None:
         print(json.dumps(seconds(given.subjects[0], *given.arms)))
         return
-    print(f"{'first step':<16}{'case':<24}{'median s':>10}{'least':>8}{'largest':>9}")
+    print(f"{'first step':<16}{'case':<12}{'median':>10}{'least':>10}{'largest':>10}")
     for subject in given.subjects:
         runs = [measured(subject) for _ in range(given.repeats)]
-        for case in runs[0]:
-            times = [run[case] for run in runs]
-            print(
-                f"{subject:<16}{case:<24}{statistics.median(times):>10.2f}{min(times):>8.2f}{max(times):>9.2f}",
-                flush=True,
-            )
+        for case, unit in zip(FirstStep._fields, ("s", "s", "s", "kB"), strict=True):
+            found = [getattr(run, case) for run in runs]
+            shown = "".join(f"{value:>10.4g}" for value in (statistics.median(found), min(found), max(found)))
+            print(f"{subject:<16}{case:<12}{shown} {unit}", flush=True)
 
 
 if __name__ == "__main__":

@@ -15,6 +15,7 @@ from apcc_torch.files import write_atomically
 
 ROOT = Path(__file__).resolve().parent.parent
 BEGIN, END = "<!-- speed: python benchmarks/readme.py -->", "<!-- /speed -->"
+FIRST, FIRST_END = "<!-- first step: python benchmarks/readme.py -->", "<!-- /first step -->"
 
 CLOCK, LANES, UNITS = 2.5e9, 8, 2
 """Of the floors: Hz, doubles of one vector, and vector operations in one cycle."""
@@ -47,6 +48,7 @@ ALL = (
     Line("control step, one arm, called with tensors", ONE_STEP, peers=TORCH),
     Line("the same, a standing call", ONE_STEP, "standing"),
     Line("the same, after 20 ms of sleep", ONE_STEP, "standing_after_20_ms"),
+    Line("the same, with empty caches", ONE_STEP, "standing_flushed"),
     Line("control step, 64 arms", "control_step_float64_batch_64"),
     Line("control step, 4096 arms", "control_step_float64_batch_4096", peers=TORCH[:1]),
     Line("the step that ships, one arm, called with tensors", "shape_step_float64_batch_1"),
@@ -122,6 +124,23 @@ def whole_table(speed: dict[str, Any]) -> str:
     return "\n".join([*lines, "", said, "", measured(speed)])
 
 
+STEPS = (
+    ("the shipped controller, one arm", "control_step"),
+    ("closed loop with the dynamic arm, 64 rows", "closed_loop"),
+    ("environment with the dynamic arm, 64 rows", "environment"),
+)
+
+
+def first_table(speed: dict[str, Any]) -> str:
+    """How long the first step of a structure takes, and of another arm of the same."""
+    lines = ["| seconds to the first step | new structure | known, fresh process | known, same process | library |",
+             "|---|---|---|---|---|"]  # fmt: skip
+    for what, name in STEPS:
+        times = [f"{1e-6 * speed[f'first_step_{name}_{case}']['us_a_row']:.2g}" for case in ("new", "known", "again")]
+        lines.append(f"| {what} | {' | '.join(times)} | {speed[f'first_step_{name}_library']['kB']:.0f} kB |")
+    return "\n".join(lines)
+
+
 def measured(speed: dict[str, Any]) -> str:
     """What a run was measured on, and how long a program takes to begin."""
     machine, cold = speed["machine"], speed["cold_start"]
@@ -133,7 +152,9 @@ def measured(speed: dict[str, Any]) -> str:
 
 
 def with_table(text: str, speed: dict[str, Any], whole: bool = False) -> str:
-    """The page with its table in its place."""
+    """The page with its tables in their places."""
+    if whole:
+        text = between(text, FIRST, FIRST_END, first_table(speed))
     return between(text, BEGIN, END, whole_table(speed) if whole else table(speed))
 
 

@@ -22,12 +22,13 @@ from collections.abc import Callable
 from typing import Any
 
 import torch
+from first_step import first_steps
 from kinematics import kinematics
 from peer_compilers import compilers
 from peer_numpy import prepared
 from rods import rods
 from subjects import SENSORS, closed_loop, dynamics, floor, one_row, plant, shipped, soromox, states, steps
-from timing import timed, timed_steps
+from timing import flush_caches, timed, timed_steps
 
 import apcc_torch
 from apcc_torch.files import write_json
@@ -101,6 +102,7 @@ def control_steps(table: Table, options: argparse.Namespace) -> None:
                 loop = standing(step, late[0])
                 table.add(f"{name}_standing", 1, 1, lambda c=loop, n=calls: timed_steps(c, [()], n))
                 table.add(f"{name}_standing_after_20_ms", 1, 1, lambda c=loop: timed(c, 0.0, 200, pause=0.02))
+                table.add(f"{name}_standing_flushed", 1, 1, lambda c=loop: timed(c, 0.0, 100, before=flush_caches))
             if batch == 1 and dtype == D:
                 routing = c.routing
                 assert routing is not None
@@ -272,6 +274,7 @@ def main() -> None:
         if options.device == "cpu":
             rods(table, options)
             kinematics(table, options)
+            first_steps(table, options)
             loops(table, options)
     table.rows["machine"] = {
         "processor": processor(),

@@ -17,7 +17,12 @@ def finished(device: str) -> None:
 
 
 def timed(
-    call: Callable[[], object], budget: float, least: int = 5, device: str = "cpu", pause: float = 0.0
+    call: Callable[[], object],
+    budget: float,
+    least: int = 5,
+    device: str = "cpu",
+    pause: float = 0.0,
+    before: Callable[[], object] | None = None,
 ) -> dict[str, float]:
     """Times a call again and again.
 
@@ -27,6 +32,7 @@ def timed(
         least: Fewest samples.
         device: On which it works.
         pause: Before each call, s.
+        before: What is done before each call, and not timed.
     """
     call()
     finished(device)
@@ -35,12 +41,23 @@ def timed(
     while len(samples) < least or time.perf_counter() < end:
         if pause:
             time.sleep(pause)
+        if before is not None:
+            before()
         started = time.perf_counter()
         call()
         finished(device)
         samples.append(time.perf_counter() - started)
     # Of all threads: what the call costs, however busy the machine is otherwise.
     return summary(samples) | {"cpu_us": 1e6 * (time.process_time() - worked) / len(samples)}
+
+
+FLUSHED = 64 << 20
+"""Bytes that are written to put everything else out of the caches."""
+
+
+def flush_caches() -> None:
+    """Puts code and data of what was called before out of the processor's caches."""
+    torch.zeros(FLUSHED, dtype=torch.uint8).add_(1)
 
 
 def timed_steps(
