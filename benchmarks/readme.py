@@ -119,7 +119,7 @@ def whole_table(speed: dict[str, Any]) -> str:
         f"The rod is clamped level and bends under its weight: {rod['sections']} sections, and MuJoCo's cable of "
         f"{rod['cable_edges']} edges, have its tip at rest within {100 * rod['accuracy']:g} % of its length. Floors: "
         f"{UNITS} operations a cycle at {CLOCK / 1e9:g} GHz on each core in use, of {LANES} doubles each, for one arm "
-        "of one."
+        "of one. They count the estimator's loop as often as it may run; where it ends sooner, a step is below."
     )
     return "\n".join([*lines, "", said, "", measured(speed)])
 
