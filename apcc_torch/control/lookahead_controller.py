@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple, Self
+from typing import Any, Self
 
 import torch
 from torch import Tensor
@@ -28,23 +28,6 @@ from apcc_torch.part import part_of, row_tensors
 PRIOR = 1e-3
 """How much a payload of nothing is believed before anything is seen, as an elastic energy over time, J s/kg^2: a few
 steps of a hanging arm are more."""
-
-
-class Seen(NamedTuple):
-    """What of `Ahead` a measurement tells."""
-
-    q: Tensor
-    moved: Tensor
-    rate: Tensor
-    x: Tensor
-    u: Tensor
-    r: Tensor
-    w: Tensor
-    weighed: Tensor
-    explained: Tensor
-    d: Tensor
-    payload: Tensor
-    known: Tensor
 
 
 class LookaheadController(APCCController):
@@ -141,14 +124,11 @@ class LookaheadController(APCCController):
         dt = elapsed(state.time, measurement.time, self.integration_limit, later.q_bar)
         valid = (command.feedback.status != int(FeedbackStatus.INVALID)) & (dt > 0)
         seen = self._seen(ahead, self._pieces(later, state.pi_hat), target.x_d - command.e, dt)
-        before = Seen(*(getattr(ahead, name) for name in Seen._fields))
-        seen = Seen(*(_where(valid, *pair) for pair in zip(seen, before, strict=True)))
+        seen = Ahead(*(_where(valid, *pair) for pair in zip(seen, ahead, strict=True)))
         none = torch.zeros_like(ahead.next)
         # The next period is as long as this one, so fast the command moves in it.
         ydot = (command.y - ahead.y) / dt.clamp(min=1e-3).unsqueeze(-1)
-        ahead = ahead._replace(
-            age=ahead.age + dt, status=ahead.next, next=none, y=command.y, ydot=ydot, **seen._asdict()
-        )
+        ahead = seen._replace(age=ahead.age + dt, status=ahead.next, next=none, y=command.y, ydot=ydot)
         return later._replace(ahead=ahead), command
 
     def look_ahead(self, state: ControllerState, target: Target, run: Step | None = None) -> ControllerState:
@@ -162,11 +142,11 @@ class LookaheadController(APCCController):
         ahead, look = state.ahead, self.lookahead
         assert ahead is not None  # of `initial_state`
         zero = torch.zeros_like(ahead.age)
-        off = ahead.x - look.loop.tip(ahead.q)
+        chain = look.loop.placed(ahead.q)
+        off, J = ahead.x - chain.tip, chain.tip_jacobian()
         z = torch.zeros_like(off) if state.integral is None else state.integral
         x_d, xdot_d = (each.expand_as(off) for each in (target.x_d, target.xdot_d))
         pi = self.driven_lengths(state.pi_hat).expand_as(state.pi_hat)
-        J = look.loop.arm.tip_jacobian(ahead.q, self._lengths(ahead.q))
         edot = xdot_d - (J @ ahead.rate.unsqueeze(-1)).squeeze(-1)
         now = Predicted(ahead.q, ahead.rate, state.q_d, ahead.y, x_d - ahead.x, edot, zero, zero)
         outlook = Outlook(x_d, xdot_d, z, off, pi, ahead.payload, ahead.d)
@@ -207,12 +187,8 @@ class LookaheadController(APCCController):
             return loop.spread(state.q_bar + self.backbone.coordinates.on_elongations(pi_hat - loop.lengths))
         return self.shape.shape.configuration(state.shape.shape)
 
-    def _lengths(self, q: Tensor) -> Tensor:
-        lengths = self.lookahead.loop.dynamics.lengths
-        return lengths.expand(*q.shape[:-1], lengths.shape[-1])
-
-    def _seen(self, ahead: Ahead, q: Tensor, x: Tensor, dt: Tensor) -> Seen:
-        """What an arm at q (..., n_f), its tip at x (..., 3), tells after dt (...) s.
+    def _seen(self, ahead: Ahead, q: Tensor, x: Tensor, dt: Tensor) -> Ahead:
+        """`ahead` with what an arm at q (..., n_f), its tip at x (..., 3), tells after dt (...) s.
 
         The equation of motion holds in the mean over the period. Beside the tendons' friction a period's lag would be
         newtons, so every term is taken as it was on the way: none of a filter's velocity, and the mean of the forces.
@@ -240,7 +216,10 @@ class LookaheadController(APCCController):
         d = torch.lerp(ahead.d, unexplained, torch.where(known > 1, 1.0 - torch.exp(-step / self.force_time), 0.0))
         rate = torch.lerp(ahead.rate, moved, 1.0 - torch.exp(-step / self.rate_time))
         count = (ahead.known + 1).clamp(max=2)
-        return Seen(q, moved, rate, x, u, r, w, weighed, explained, d, payload, count)
+        return ahead._replace(
+            q=q, moved=moved, rate=rate, x=x, u=u, r=r, w=w, weighed=weighed, explained=explained, d=d, payload=payload,
+            known=count,
+        )  # fmt: skip
 
 
 def _where(rows: Tensor, value: Tensor, other: Tensor) -> Tensor:

@@ -16,6 +16,7 @@ from apcc_torch.control.obstacles import Obstacle, Sphere
 from apcc_torch.model.backbone import PCCBackbone
 from apcc_torch.model.dynamics import SoftArmDynamics
 from apcc_torch.model.integrators import Actuation, ArmState, semi_implicit_step
+from apcc_torch.model.kinematic_model import Placed
 from apcc_torch.model.tendons import TendonRouting
 from apcc_torch.part import Part, hold_numbers, hold_rows
 from apcc_torch.settings import Setting, resolved
@@ -141,9 +142,9 @@ class PredictedLoop(Part):
         now = Predicted(q, q, q_d, lengths.new_zeros(self.B.shape[-1]), point, point, zero, zero)
         return now, departure, Outlook(point, point, point, point, lengths, zero, q)
 
-    def tip(self, q: Tensor) -> Tensor:
-        """The tip (..., 3) m of an arm at q (..., n_f)."""
-        return self.arm.tip(q, self.dynamics.lengths.expand(*q.shape[:-1], -1))
+    def placed(self, q: Tensor) -> Placed:
+        """The tip of an arm at q (..., n_f), and how it moves with it."""
+        return self.arm.chain(q, self.dynamics.lengths.expand(*q.shape[:-1], -1))
 
     def sections(self, q: Tensor) -> Tensor:
         """The strains (..., n) of the sections of an arm at q (..., n_f), rad and m."""
@@ -174,7 +175,7 @@ class PredictedLoop(Part):
             outlook: What is known and wanted.
         """
         dt, model = self.dt, self.backbone
-        chain = self.arm.chain(now.q, self.dynamics.lengths.expand(*now.q.shape[:-1], -1))
+        chain = self.placed(now.q)
         J_f = chain.tip_jacobian()
         # Tendons move all pieces of a section alike.
         J = J_f.unflatten(-1, (-1, self.refine, 3)).mean(-2).flatten(-2)
