@@ -132,15 +132,8 @@ class RunLog:
         if EVENT_TOPIC not in self.channels:
             schema = self.writer.register_schema("Event", "jsonschema", json.dumps(EVENT_SCHEMA).encode())
             self.channels[EVENT_TOPIC] = self.writer.register_channel(EVENT_TOPIC, "json", schema)
-        content = {
-            "time": event.time,
-            "kind": event.kind,
-            "state": event.state.value,
-            "message": event.message,
-            "reason": None if event.reason is None else event.reason.value,
-        }
         stamp = self._stamp(event.time)
-        self.writer.add_message(self.channels[EVENT_TOPIC], stamp, json.dumps(content).encode(), stamp)
+        self.writer.add_message(self.channels[EVENT_TOPIC], stamp, json.dumps(event.plain()).encode(), stamp)
 
     def _stamp(self, seconds: float) -> int:
         return max(round(1e9 * seconds) + self.offset, 0)

@@ -55,6 +55,16 @@ class Event:
     message: str
     reason: StopReason | None = None
 
+    def plain(self) -> dict[str, object]:
+        """For a file."""
+        return {
+            "time": self.time,
+            "kind": self.kind,
+            "state": self.state.value,
+            "message": self.message,
+            "reason": None if self.reason is None else self.reason.value,
+        }
+
 
 @dataclass(frozen=True)
 class Outcome:

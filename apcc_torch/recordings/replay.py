@@ -24,10 +24,6 @@ from apcc_torch.recordings.rest_pose import poses_of, unturned
 from apcc_torch.shapes import broadcast
 from apcc_torch.simulation.progress import Progress, quiet
 
-_SETTINGS = (
-    *("mode", "angular_weight", "max_iterations", "min_iterations", "linear_threshold", "angular_threshold"),
-    *("bend_step", "length_step", "damping", "settled_step"),
-)
 _BLOCK = 100  # frames a sweep
 
 
@@ -83,7 +79,6 @@ def replay(
     estimator: StateFeedback | APCCController,
     gate: SensorGate,
     pi_hat: Tensor | None = None,
-    q: Tensor | None = None,
     mask: Tensor | None = None,
     velocity_filter: SavitzkyGolay | None = None,
     frames: slice = slice(None),
@@ -106,7 +101,6 @@ def replay(
         gate: Decides what the estimator is shown.
         pi_hat: (..., n_b) rest lengths, m, the first ones where a controller adapts; None: the calibration's, where
             one section ends at each sensor. The replay follows its dtype and device.
-        q: (..., 3 n_b) first seed; None: straight.
         mask: (..., k) bool, False for a sensor never shown to the estimator; None: all are shown.
         velocity_filter: Derivative of q_bar for an estimator alone; None: window 15, order 2.
         frames: Which frames, gated as if there were no others.
@@ -142,13 +136,13 @@ def replay(
         raise ConfigError("parallel must be False for a controller: its parameters come from the frames before")
     backbone = feedback.backbone
     pi_hat = calibration.rest_lengths if pi_hat is None else pi_hat
-    q = pi_hat.new_zeros(backbone.n) if q is None else q
+    q = pi_hat.new_zeros(backbone.n)
     backbone.check(q, pi_hat)
     gated = _frames(recording, calibration, feedback, gate, frames, pi_hat)
     shown, oriented = gated.verdict.position_ok, gated.verdict.orientation_ok
     if mask is None:
         mask = shown.new_ones(shown.shape[-1])
-    batch = broadcast(q.shape[:-1], pi_hat.shape[:-1], mask.shape[:-1])
+    batch = broadcast(pi_hat.shape[:-1], mask.shape[:-1])
     q, pi_hat = q.expand(*batch, backbone.n), pi_hat.expand(*batch, backbone.n_sections)
     per_frame = (len(shown), *[1] * len(batch), -1)
     shown, oriented = shown.reshape(per_frame) & mask, oriented.reshape(per_frame) & mask
@@ -299,11 +293,7 @@ def held_out_error(
         raise ValueRangeError("feedback must have two sensors or more for one to be left out")
     shown = ~torch.eye(k, dtype=torch.bool)[: k - 1]
     pi_hat = torch.stack([torch.diff(X[row], prepend=X.new_zeros(1)) for row in shown])
-    fewer = StateFeedback(
-        feedback.backbone.resized(k - 1).cpu(),
-        X,
-        **{name: getattr(feedback, name) for name in _SETTINGS},
-    )
+    fewer = StateFeedback(feedback.backbone.resized(k - 1).cpu(), X, feedback.settings)
     log = replay(
         recording, calibration, fewer, gate, pi_hat, mask=shown, frames=frames, parallel=True, progress=progress
     )

@@ -13,9 +13,9 @@ from apcc_torch.model.dynamics import SoftArmDynamics
 from apcc_torch.model.integrators import (
     Actuation,
     ArmState,
+    Guarded,
     guard,
     rk4_step,
-    rollout,
     rosenbrock_step,
     semi_implicit_step,
 )
@@ -58,6 +58,16 @@ def reference(f, x: Tensor, times: list[float], rtol: float, atol: float) -> Ten
     run = solve_ivp(slope, (times[0], times[-1]), x.numpy(), method="DOP853", t_eval=times, rtol=rtol, atol=atol)
     assert run.success
     return torch.from_numpy(run.y.T)
+
+
+def rollout(step, state: Tensor, n_steps: int) -> Guarded:  # type: ignore[no-untyped-def]
+    """The trajectory (n_steps + 1, ..., m) of guarded steps, and when each row left it."""
+    diverged_at = torch.full(state.shape[:-1], -1)
+    states = [state]
+    for k in range(n_steps):
+        state, diverged_at = guard(state, step(k, state), diverged_at, k)
+        states.append(state)
+    return Guarded(torch.stack(states), diverged_at)
 
 
 def orders(step, x: Tensor, want: Tensor, span: float, counts: tuple[int, ...]) -> list[float]:  # type: ignore[no-untyped-def]
