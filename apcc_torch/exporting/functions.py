@@ -215,11 +215,7 @@ class ControlRestart(nn.Module):
 
 
 class TendonLoop(nn.Module):
-    """One period of the loop on the tendons' lengths.
-
-    Args:
-        pid: The loop.
-    """
+    """One period of the loop on the tendons' lengths."""
 
     def __init__(self, pid: TendonPID) -> None:
         super().__init__()

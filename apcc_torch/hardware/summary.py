@@ -98,11 +98,7 @@ class Summary:
         return None
 
     def metrics(self, outcome: Outcome) -> dict[str, float]:
-        """Flat metrics, SI units in the names.
-
-        Args:
-            outcome: How the run ended.
-        """
+        """Flat metrics, SI units in the names."""
         metrics: dict[str, float] = {
             "exit_code": outcome.exit_code,
             "duration_s": outcome.duration,

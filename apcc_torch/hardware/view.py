@@ -68,11 +68,7 @@ def picture(tick: Tick | None, last: Tick | None, event: Event | None, full: flo
 
 
 class TerminalView:
-    """Observes a run. `with` takes the terminal's other screen, and gives it back.
-
-    Args:
-        terminal: Where to draw.
-    """
+    """Observes a run. `with` takes the terminal's other screen, and gives it back."""
 
     def __init__(self, terminal: TextIO) -> None:
         self.terminal = terminal

@@ -188,11 +188,7 @@ def failures_told(tell: Callable[[str], object]) -> Iterator[None]:
 
 @contextmanager
 def attempt(name: str) -> Iterator[None]:
-    """Draws in the own look; a failure is told in one sentence, and what comes after goes on.
-
-    Args:
-        name: What is drawn.
-    """
+    """Draws in the own look; a failure is told in one sentence, and what comes after goes on."""
     try:
         with own_look():
             yield
