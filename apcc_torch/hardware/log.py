@@ -15,7 +15,7 @@ from apcc_torch.errors import ConfigError
 from apcc_torch.hardware.control import Start
 from apcc_torch.hardware.interfaces import TendonReading
 from apcc_torch.hardware.log_format import EVENT_SCHEMA, EVENT_TOPIC, Layout, Layouts, raw_layout
-from apcc_torch.hardware.records import Event, Tick
+from apcc_torch.hardware.records import Event, Observer, Tick
 
 FLUSH = 1.0
 """How often the file is brought up to date, s: a killed run loses no more than this."""
@@ -23,7 +23,7 @@ BACKLOG = 5000
 """Records that may wait before the log counts as failed."""
 
 
-class RunLog:
+class RunLog(Observer):
     """Observes a run and writes it. `with` closes it; a failure to write never raises, it is `failure`.
 
     Args:

@@ -46,11 +46,8 @@ class Motors(ServoMotors):
         self.currents = settings.currents
         self.modes = {motor: settings.mode_of(motor) for motor in self.ids}
         self.fastest = np.array([model.fastest for model in settings.tendon_models])
-        given = settings.torque_constant
-        constants = [model.torque_constant for model in settings.tendon_models]
-        self.torque_constants = dict(
-            zip(settings.ids, constants if given is None else settings.each("torque_constant"), strict=True)
-        )
+        constants = (model.torque_constant for model in settings.tendon_models)
+        self.torque_constants = settings.told_or("torque_constant", constants)
         moved = [motor for motor in self.ids if self.modes[motor] == VELOCITY]
         self.loop = VelocityLoop(moved, settings.velocity_gain, settings.profile_velocity)
 

@@ -43,11 +43,8 @@ class StsMotors(ServoMotors):
         self.settings = settings
         self.models = settings.models
         self.fastest = np.array([model.fastest for model in self.models.values()])
-        given = settings.torque_constant
-        constants = [model.torque for model in self.models.values()]
-        self.torque_constants = dict(
-            zip(self.ids, constants if given is None else settings.each("torque_constant"), strict=True)
-        )
+        constants = (model.torque for model in self.models.values())
+        self.torque_constants = settings.told_or("torque_constant", constants)
         self.torque_limits = {
             motor: int(limit / registers.TORQUE_UNIT)
             for motor, limit in zip(self.ids, settings.each("torque_limit"), strict=True)
