@@ -224,7 +224,7 @@ class PoseSensors(Part):
         return later, seen.T, seen.mask
 
     def sense(self, state: SensorState, T: Tensor, curvature: Tensor | None, draws: Draws) -> tuple[SensorState, Seen]:
-        """`forward` with its chance drawn before, and of curvature (..., n_c, 2), 1/m; None where nothing measures that."""
+        """`forward` with its chance drawn before, and of curvature (..., n_c, 2), 1/m, where that is measured."""
         check_tensor("T", T, (None, 4, 4))
         queue = torch.cat((T.unsqueeze(-4), state.queue[..., :-1, :, :, :]), dim=-4)
         seen = true = queue[..., -1, :, :, :]
