@@ -13,7 +13,7 @@ from apcc_torch.estimation.feedback import Feedback, Inference, status_of
 from apcc_torch.estimation.fit import Problem, evaluate
 from apcc_torch.estimation.fixed_point import fixed_point_slope
 from apcc_torch.estimation.implicit import attached
-from apcc_torch.estimation.iteration import Rules, far_off, iterate, unseen
+from apcc_torch.estimation.iteration import far_off, iterate, unseen
 from apcc_torch.estimation.state_feedback_settings import StateFeedbackSettings
 from apcc_torch.estimation.step import row_weights
 from apcc_torch.lie import se3
@@ -222,28 +222,14 @@ class StateFeedback(Part):
         angular = oriented.to(dtype) * (aligned(self.angular_weight, 1) if self.mode == "pose" else 1.0)
         return row_weights(angular, usable, dtype)
 
-    def _rules(self) -> Rules:
-        return Rules(
-            self.mode,
-            self.angular_weight,
-            self.max_iterations,
-            self.min_iterations,
-            self.linear_threshold,
-            self.angular_threshold,
-            self.bend_step,
-            self.length_step,
-            self.damping,
-            self.settled_step,
-        )
-
     def _infer(self, q_seed: Tensor, pi_hat: Tensor, problem: Problem) -> Feedback:
         lowest = self._lowest(pi_hat)
         if self.gradient == "implicit" and torch.is_grad_enabled():
             with torch.no_grad():
-                outcome = iterate(self.backbone, self._rules(), q_seed, problem, lowest)
+                outcome = iterate(self.backbone, self, q_seed, problem, lowest)
             outcome = outcome._replace(fit=attached(self.backbone, self.mode, outcome, q_seed, problem))
         else:
-            outcome = iterate(self.backbone, self._rules(), q_seed, problem, lowest)
+            outcome = iterate(self.backbone, self, q_seed, problem, lowest)
         fit, within, settled, valid, iterations = outcome
         status = status_of(iterations, within, settled, far_off(fit, problem), valid)
         q_bar = torch.where(valid.unsqueeze(-1), fit.q, q_seed)
