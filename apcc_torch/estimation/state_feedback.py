@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from apcc_torch.errors import ValueRangeError
-from apcc_torch.estimation.counted import check_mask, counted
+from apcc_torch.estimation.counted import check_masks, counted
 from apcc_torch.estimation.feedback import Feedback, Inference, status_of
 from apcc_torch.estimation.fit import Problem, evaluate
 from apcc_torch.estimation.fixed_point import fixed_point_slope
@@ -131,11 +131,8 @@ class StateFeedback(Part):
         self.backbone.check(q_seed, pi_hat)
         check_tensor("T", T, (k, 4, 4))
         check_same(q_seed=q_seed, T=T)
-        leading = {"q_seed": (q_seed, 1), "pi_hat": (pi_hat, 1), "T": (T, 3)}
-        for name, given in {"mask": mask, "angular_mask": angular_mask}.items():
-            if given is not None:
-                leading[name] = (check_mask(name, given, k), 1)
-        batch_shape(**leading)
+        masks = check_masks(k, mask, angular_mask)
+        batch_shape(q_seed=(q_seed, 1), pi_hat=(pi_hat, 1), T=(T, 3), **masks)
         return self.infer(q_seed, pi_hat, T, mask, angular_mask).feedback
 
     def infer(
@@ -266,9 +263,7 @@ class StateFeedback(Part):
         self.backbone.check(q_bar, pi_hat)
         k = self.abscissae.shape[-1]
         leading = {"q_bar": (q_bar, 1), "pi_hat": (pi_hat, 1), "abscissae": (self.abscissae, 1)}
-        for name, given in {"mask": mask, "angular_mask": angular_mask}.items():
-            if given is not None:
-                leading[name] = (check_mask(name, given, k), 1)
+        leading |= check_masks(k, mask, angular_mask)
         if T is not None:
             leading["T"] = (check_tensor("T", T, (k, 4, 4)), 3)
         batch = batch_shape(**leading)
