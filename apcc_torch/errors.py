@@ -146,11 +146,7 @@ def in_a_line(error: BaseException) -> str:
 
 @contextmanager
 def one_sentence(tell: Callable[[str], object]) -> Iterator[None]:
-    """Ends a program with `REFUSED` where it refuses what its user can mend: one sentence, no stack.
-
-    Args:
-        tell: What takes the sentence.
-    """
+    """Ends a program with `REFUSED` where it refuses what its user can mend: one sentence, no stack."""
     try:
         yield
     except ApccError as error:

@@ -23,11 +23,7 @@ NAMES = {"SIGINT": "Ctrl-C", "SIGTERM": "SIGTERM", "SIGHUP": "a closed terminal"
 
 
 class Stopped(KeyboardInterrupt):
-    """The program was asked to end.
-
-    Args:
-        number: The signal.
-    """
+    """The program was asked to end."""
 
     def __init__(self, number: int) -> None:
         super().__init__(number)

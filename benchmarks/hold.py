@@ -13,7 +13,8 @@ from dataclasses import replace
 from comparisons import compare
 
 from apcc_torch.composition.run_settings import SimulateSettings
-from apcc_torch.experiments.dynamic import curves, dynamic_metrics, simulate, thinned
+from apcc_torch.experiments.dynamic import curves, simulate, thinned
+from apcc_torch.experiments.dynamic_metrics import dynamic_metrics
 
 DURATION = 180.0
 TIMES = (10.0, 60.0)

@@ -22,7 +22,8 @@ from apcc_torch.composition.build import Builder
 from apcc_torch.composition.run_settings import SimulateSettings
 from apcc_torch.control.controller import APCCController
 from apcc_torch.control.step_io import Measurement, Target
-from apcc_torch.experiments.dynamic import curves, dynamic_metrics, simulate, thinned
+from apcc_torch.experiments.dynamic import curves, simulate, thinned
+from apcc_torch.experiments.dynamic_metrics import dynamic_metrics
 from apcc_torch.files import write_atomically, write_json
 from apcc_torch.native.function import NativeFunction
 

@@ -86,8 +86,8 @@ def cost(gains: Gains, starts: Tensor, duration: float, seed: int) -> Tensor:
 
     def period(now: State, time: Tensor, draws: Draws) -> tuple[State, tuple[Tensor, Tensor]]:
         T = BACKBONE.pose(now.q, TRUE, X_tilde, j)
-        _, seen, mask = sensors.read(sensors.initial_state(T), T, draws)
-        later, command = follower(now.controller, Measurement(seen, time, mask), PATH(time))
+        seen = sensors.sense(sensors.initial_state(T), T, None, draws)[1]
+        later, command = follower(now.controller, Measurement(seen.T, time, seen.mask), PATH(time))
         tip = PATH(time).x_d - BACKBONE.tip(now.q, TRUE)
         gap = BACKBONE.points(now.q, TRUE, len(share)) - BACKBONE.points(later.q_bar, now.controller.pi_hat, len(share))
         return State(now.q + command.qdot / RATE, later), (tip.square().sum(-1), gap.square().sum(-1).mean(-1))

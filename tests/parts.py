@@ -272,7 +272,7 @@ def looped(of: ClosedLoop) -> Any:
 
 
 def sensed(of: PoseSensors) -> Any:
-    return of.read(of.initial_state(poses()), poses(), Draws(some(3, 6), 0.5 + 0.5 * some(3)))[1]
+    return of.sense(of.initial_state(poses()), poses(), None, Draws(some(3, 6), 0.5 + 0.5 * some(3)))[1].T
 
 
 def pid(of: TendonPID) -> Any:

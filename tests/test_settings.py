@@ -225,9 +225,9 @@ def sensed(**settings: Any) -> Tensor:
     made = PoseSensors(**settings)
     T = torch.eye(4, dtype=torch.float64).expand(ROWS, 2, 4, 4)
     draws = made.draw(T, torch.Generator().manual_seed(3), 2)
-    _, seen, mask = made.read(made.initial_state(T), T, draws)
+    seen = made.sense(made.initial_state(T), T, None, draws)[1]
     y = made.measured_tendons(torch.zeros(ROWS, 2).double(), torch.full((ROWS, 2), -5.0).double(), draws)
-    return torch.cat((seen.flatten(-2), mask.unsqueeze(-1), y.unsqueeze(-1)), dim=-1)
+    return torch.cat((seen.T.flatten(-2), seen.mask.unsqueeze(-1), y.unsqueeze(-1)), dim=-1)
 
 
 def sine(omega: Any) -> Tensor:

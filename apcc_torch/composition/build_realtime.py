@@ -30,9 +30,6 @@ EXPERIMENTS = ("dynamic", "tendons")
 class RealtimeBuilder:
     """Builds the parts of one run.
 
-    Args:
-        settings: Of the run.
-
     Raises:
         ConfigError: A setting has no meaning.
     """

@@ -63,13 +63,7 @@ def _chosen(values: dict[str, Any], root: type[Settings]) -> dict[str, Any]:
 
 
 def check_words(words: Sequence[str], root: type[Settings], config: str) -> None:
-    """Raises ConfigError where a word of a command line sets what is neither a key, nor a group, nor hydra's own.
-
-    Args:
-        words: The command line.
-        root: Its settings.
-        config: The name of its configuration.
-    """
+    """Raises ConfigError where a word of a command line sets what is neither a key, nor a group, nor hydra's own."""
     if any(OTHERS.match(word) for word in words):
         return
     known = [each.name for each in keys(root)]
@@ -96,11 +90,7 @@ def groups(config: str) -> dict[str, tuple[str, ...]]:
 
 @contextmanager
 def refused_in_a_sentence(tell: Callable[[str], object]) -> Iterator[None]:
-    """Runs a program of hydra's: what hydra refuses ends it with exit code 2 and one sentence, not hydra's pages.
-
-    Args:
-        tell: What takes the sentence.
-    """
+    """Runs a program of hydra's: what hydra refuses ends it with exit code 2 and one sentence, not hydra's pages."""
     with one_sentence(tell):
         before = os.environ.get(_RAISES)
         os.environ[_RAISES] = "1"
@@ -182,10 +172,6 @@ def _value(cfg: DictConfig, key: Any) -> Any:
 
 def typed(cfg: DictConfig, root: type[Root]) -> Root:
     """The settings that a composed configuration means.
-
-    Args:
-        cfg: What hydra composed.
-        root: Their class.
 
     Raises:
         ConfigError, ValueRangeError: A key is unknown or missing, a value of the wrong type or out of range.

@@ -23,9 +23,7 @@ def counted(
         kinds: What the sensors measure; None for poses. Nothing else is looked at.
         mask, angular_mask: (..., k) bool, sensors and orientations to leave out; None for none.
     """
-    for name, given in {"mask": mask, "angular_mask": angular_mask}.items():
-        if given is not None:
-            check_mask(name, given, T.shape[-3])
+    check_masks(T.shape[-3], mask, angular_mask)
     T = T if kinds is None else kinds.filled(T)
     usable = torch.isfinite(T).flatten(-2).all(-1)
     if mask is not None:
@@ -42,10 +40,16 @@ def counted(
     return usable, oriented
 
 
-def check_mask(name: str, mask: Tensor, k: int) -> Tensor:
-    """Returns `mask` if it is bool (..., k); raises DtypeError or ShapeError where it is not."""
-    if mask.dtype != torch.bool:
-        raise DtypeError(f"{name} must be torch.bool, got {mask.dtype}")
-    if mask.shape[-1:] != (k,):
-        raise ShapeError(f"{name} must have shape (..., {k}), got {tuple(mask.shape)}")
-    return mask
+def check_masks(k: int, mask: Tensor | None, angular_mask: Tensor | None) -> dict[str, tuple[Tensor, int]]:
+    """The masks that are given, for `batch_shape`.
+
+    Raises:
+        DtypeError, ShapeError: One is not bool (..., k).
+    """
+    given = {name: each for name, each in (("mask", mask), ("angular_mask", angular_mask)) if each is not None}
+    for name, each in given.items():
+        if each.dtype != torch.bool:
+            raise DtypeError(f"{name} must be torch.bool, got {each.dtype}")
+        if each.shape[-1:] != (k,):
+            raise ShapeError(f"{name} must have shape (..., {k}), got {tuple(each.shape)}")
+    return {name: (each, 1) for name, each in given.items()}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import torch
 from torch import Tensor
@@ -23,8 +23,8 @@ LOST_ANGLE, LOST_SHARE = 2.0, 0.75
 UNSEEN = 1e-8
 
 
-class Rules(NamedTuple):
-    """Settings of the iteration; see `StateFeedback`."""
+class Rules(Protocol):
+    """The settings that the iteration reads of a `StateFeedback`."""
 
     mode: str
     angular_weight: Setting

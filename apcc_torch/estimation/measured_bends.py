@@ -19,10 +19,6 @@ def measured_bends(backbone: KinematicModel, problem: Problem) -> Tensor:
     The turn between an orientation that counts and the one before, at first the base's, is spread evenly over the
     material in between. It is right about the branch where no such turn exceeds half a turn, however far from the
     base's the last orientation is.
-
-    Args:
-        backbone: The model.
-        problem: The sensors.
     """
     fraction, length = problem.points.fraction, problem.points.length
     before = backbone.base_rotation.to(fraction).expand_as(problem.rotation[..., 0, :, :])

@@ -8,12 +8,12 @@ import torch
 from torch import Tensor
 
 from apcc_torch.errors import ValueRangeError
-from apcc_torch.estimation.counted import check_mask, counted
+from apcc_torch.estimation.counted import check_masks, counted
 from apcc_torch.estimation.feedback import Feedback, Inference, status_of
 from apcc_torch.estimation.fit import Problem, evaluate
 from apcc_torch.estimation.fixed_point import fixed_point_slope
 from apcc_torch.estimation.implicit import attached
-from apcc_torch.estimation.iteration import Rules, far_off, iterate, unseen
+from apcc_torch.estimation.iteration import far_off, iterate, unseen
 from apcc_torch.estimation.state_feedback_settings import StateFeedbackSettings
 from apcc_torch.estimation.step import row_weights
 from apcc_torch.lie import se3
@@ -131,11 +131,8 @@ class StateFeedback(Part):
         self.backbone.check(q_seed, pi_hat)
         check_tensor("T", T, (k, 4, 4))
         check_same(q_seed=q_seed, T=T)
-        leading = {"q_seed": (q_seed, 1), "pi_hat": (pi_hat, 1), "T": (T, 3)}
-        for name, given in {"mask": mask, "angular_mask": angular_mask}.items():
-            if given is not None:
-                leading[name] = (check_mask(name, given, k), 1)
-        batch_shape(**leading)
+        masks = check_masks(k, mask, angular_mask)
+        batch_shape(q_seed=(q_seed, 1), pi_hat=(pi_hat, 1), T=(T, 3), **masks)
         return self.infer(q_seed, pi_hat, T, mask, angular_mask).feedback
 
     def infer(
@@ -222,28 +219,14 @@ class StateFeedback(Part):
         angular = oriented.to(dtype) * (aligned(self.angular_weight, 1) if self.mode == "pose" else 1.0)
         return row_weights(angular, usable, dtype)
 
-    def _rules(self) -> Rules:
-        return Rules(
-            self.mode,
-            self.angular_weight,
-            self.max_iterations,
-            self.min_iterations,
-            self.linear_threshold,
-            self.angular_threshold,
-            self.bend_step,
-            self.length_step,
-            self.damping,
-            self.settled_step,
-        )
-
     def _infer(self, q_seed: Tensor, pi_hat: Tensor, problem: Problem) -> Feedback:
         lowest = self._lowest(pi_hat)
         if self.gradient == "implicit" and torch.is_grad_enabled():
             with torch.no_grad():
-                outcome = iterate(self.backbone, self._rules(), q_seed, problem, lowest)
+                outcome = iterate(self.backbone, self, q_seed, problem, lowest)
             outcome = outcome._replace(fit=attached(self.backbone, self.mode, outcome, q_seed, problem))
         else:
-            outcome = iterate(self.backbone, self._rules(), q_seed, problem, lowest)
+            outcome = iterate(self.backbone, self, q_seed, problem, lowest)
         fit, within, settled, valid, iterations = outcome
         status = status_of(iterations, within, settled, far_off(fit, problem), valid)
         q_bar = torch.where(valid.unsqueeze(-1), fit.q, q_seed)
@@ -280,9 +263,7 @@ class StateFeedback(Part):
         self.backbone.check(q_bar, pi_hat)
         k = self.abscissae.shape[-1]
         leading = {"q_bar": (q_bar, 1), "pi_hat": (pi_hat, 1), "abscissae": (self.abscissae, 1)}
-        for name, given in {"mask": mask, "angular_mask": angular_mask}.items():
-            if given is not None:
-                leading[name] = (check_mask(name, given, k), 1)
+        leading |= check_masks(k, mask, angular_mask)
         if T is not None:
             leading["T"] = (check_tensor("T", T, (k, 4, 4)), 3)
         batch = batch_shape(**leading)

@@ -196,17 +196,7 @@ def _log(build: RealtimeBuilder, offset: float, attached: dict[str, str], folder
 
 def _write(folder: Path, seed: int, events: list[Event], metrics: dict[str, float]) -> None:
     """events.json, versions.json and, last, metrics.json: a folder with metrics is complete."""
-    rows = [
-        {
-            "time": event.time,
-            "kind": event.kind,
-            "state": event.state.value,
-            "message": event.message,
-            "reason": None if event.reason is None else event.reason.value,
-        }
-        for event in events
-    ]
-    write_json(folder / "events.json", {"events": rows})
+    write_json(folder / "events.json", {"events": [event.plain() for event in events]})
     write_json(folder / "versions.json", {**versions(), "seed": seed})
     write_json(folder / "metrics.json", metrics)
 

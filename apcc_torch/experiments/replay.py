@@ -16,9 +16,10 @@ from apcc_torch.experiments.folder import RunFolder, progress_bar, warn
 from apcc_torch.model.coordinates import Coordinates
 from apcc_torch.reading import keyed
 from apcc_torch.recordings.data_set import located
+from apcc_torch.recordings.held_out import held_out_error
 from apcc_torch.recordings.recorded_arm import TRUNK_BASE, TRUNK_DIRECTION
 from apcc_torch.recordings.recording_file import detect_layout
-from apcc_torch.recordings.replay import held_out_error, replay
+from apcc_torch.recordings.replay import replay
 from apcc_torch.recordings.replay_log import replay_metrics, sensor_errors
 from apcc_torch.recordings.rest_pose import calibrate, still_frame_count
 from apcc_torch.recordings.session_file import load_rest, load_session

@@ -212,7 +212,7 @@ def _enums(P: str, p: str) -> Iterator[str]:
     }
     for name, (kind, words, meaning) in told.items():
         lines = "\n".join(f"    {P}_{each.name} = {each.value}, /**< {words[each.name]} */" for each in kind)
-        yield f"/** {meaning} */\nenum {p}_{name} {{\n{lines}\n}};\n".replace(", /**<", ", /**<")
+        yield f"/** {meaning} */\nenum {p}_{name} {{\n{lines}\n}};\n"
 
 
 _COPIES = """\

@@ -6,14 +6,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-import torch
 
 from apcc_torch.errors import DataError, SafetyError
 from apcc_torch.hardware.arming import complete_frame
 from apcc_torch.hardware.calibration_file import ArmCalibration
 from apcc_torch.hardware.interfaces import PoseSensor, TendonActuator
+from apcc_torch.hardware.mocap.frames import pose_distance
 from apcc_torch.hardware.setup import Setup
-from apcc_torch.lie.rotations import rotation_angle
 from apcc_torch.settings import OURS, Settings, setting
 
 
@@ -62,9 +61,7 @@ def check_base(calibration: ArmCalibration, sensor: PoseSensor, settings: Confir
     """Raises SafetyError if the base is not where it was."""
     if calibration.base is None or sensor.base is None:
         return
-    before, now = np.array(calibration.base), sensor.base
-    moved = float(np.linalg.norm(now[:3, 3] - before[:3, 3]))
-    turned = float(rotation_angle(torch.tensor(now[:3, :3]), torch.tensor(before[:3, :3])))
+    moved, turned = pose_distance(sensor.base, np.array(calibration.base))
     if moved > settings.base_tolerance or turned > settings.base_angle_tolerance:
         raise SafetyError(
             f"the base has moved by {1e3 * moved:.1f} mm and {turned:.3f} rad since calibration {calibration.id}: "

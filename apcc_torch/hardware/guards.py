@@ -82,12 +82,7 @@ class Dwell:
 
 
 class Guards:
-    """The guards of one run with what they remember.
-
-    Args:
-        settings: Limits.
-        limits: The commands' range.
-    """
+    """The guards of one run with what they remember."""
 
     def __init__(self, settings: GuardSettings, limits: CommandLimits) -> None:
         self.settings = settings

@@ -40,10 +40,6 @@ class PressureLimitSettings(Settings):
 class CommandLimits:
     """Clamps of tendon length changes y, or of chambers' pressures, which have the same shapes in Pa.
 
-    Args:
-        n_tendons: Number of tendons n_a.
-        given, changes: Settings.
-
     Attributes:
         lower, upper: (n_a,) m, range of each tendon.
         rate: (n_a,) m/s, largest speed of a command.

@@ -15,7 +15,7 @@ from apcc_torch.errors import ConfigError
 from apcc_torch.hardware.control import Start
 from apcc_torch.hardware.interfaces import TendonReading
 from apcc_torch.hardware.log_format import EVENT_SCHEMA, EVENT_TOPIC, Layout, Layouts, raw_layout
-from apcc_torch.hardware.records import Event, Tick
+from apcc_torch.hardware.records import Event, Observer, Tick
 
 FLUSH = 1.0
 """How often the file is brought up to date, s: a killed run loses no more than this."""
@@ -23,7 +23,7 @@ BACKLOG = 5000
 """Records that may wait before the log counts as failed."""
 
 
-class RunLog:
+class RunLog(Observer):
     """Observes a run and writes it. `with` closes it; a failure to write never raises, it is `failure`.
 
     Args:
@@ -132,15 +132,8 @@ class RunLog:
         if EVENT_TOPIC not in self.channels:
             schema = self.writer.register_schema("Event", "jsonschema", json.dumps(EVENT_SCHEMA).encode())
             self.channels[EVENT_TOPIC] = self.writer.register_channel(EVENT_TOPIC, "json", schema)
-        content = {
-            "time": event.time,
-            "kind": event.kind,
-            "state": event.state.value,
-            "message": event.message,
-            "reason": None if event.reason is None else event.reason.value,
-        }
         stamp = self._stamp(event.time)
-        self.writer.add_message(self.channels[EVENT_TOPIC], stamp, json.dumps(content).encode(), stamp)
+        self.writer.add_message(self.channels[EVENT_TOPIC], stamp, json.dumps(event.plain()).encode(), stamp)
 
     def _stamp(self, seconds: float) -> int:
         return max(round(1e9 * seconds) + self.offset, 0)

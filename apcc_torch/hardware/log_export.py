@@ -144,10 +144,6 @@ def recording_of(log: RobotLog, source: str = "") -> Recording:
     Inputs are the lengths that the tendons were told to pull in, actuators those that were measured, m. Of chambers
     both are their gauge pressures, Pa.
 
-    Args:
-        log: The log.
-        source: Its file.
-
     Raises:
         DataError: The log lacks measurements or tendons.
     """

@@ -35,10 +35,6 @@ class RampSettings(Settings):
 class Ramp:
     """Length changes that go from zero to their goal, and stay there.
 
-    Args:
-        n_tendons: Number of tendons n_a.
-        given, changes: Settings.
-
     Raises:
         ConfigError: There is no goal, or it has not one entry a tendon.
         ValueRangeError: A number is not finite.

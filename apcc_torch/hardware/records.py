@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
 
 from apcc_torch.hardware.control import Decision, Start
 from apcc_torch.hardware.interfaces import Array, TendonReading
@@ -55,6 +54,16 @@ class Event:
     message: str
     reason: StopReason | None = None
 
+    def plain(self) -> dict[str, object]:
+        """For a file."""
+        return {
+            "time": self.time,
+            "kind": self.kind,
+            "state": self.state.value,
+            "message": self.message,
+            "reason": None if self.reason is None else self.reason.value,
+        }
+
 
 @dataclass(frozen=True)
 class Outcome:
@@ -78,7 +87,7 @@ class Outcome:
         return self.reason.code
 
 
-class Observer(Protocol):
+class Observer:
     """Someone who watches a run: a log, a view, a summary. The calls come from the loop and must return at once."""
 
     def on_start(self, start: Start, time: float) -> None:
@@ -92,3 +101,4 @@ class Observer(Protocol):
 
     def failure(self) -> str | None:
         """What is wrong with the observer so that the run must stop; None if nothing is."""
+        return None

@@ -22,11 +22,7 @@ log = plain_logger(__name__)
 
 
 class Runner:
-    """One run on one arm. It is good for one `run`.
-
-    Args:
-        setup: The parts.
-    """
+    """One run on one arm. It is good for one `run`."""
 
     def __init__(self, setup: Setup) -> None:
         self.setup = setup

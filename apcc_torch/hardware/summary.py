@@ -7,9 +7,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from apcc_torch.hardware.control import Decision, Start
+from apcc_torch.hardware.control import Decision
 from apcc_torch.hardware.interfaces import Array
-from apcc_torch.hardware.records import Event, Outcome, Tick
+from apcc_torch.hardware.records import Event, Observer, Outcome, Tick
 from apcc_torch.hardware.stage_times import StageTimes
 from apcc_torch.hardware.states import State
 
@@ -25,7 +25,7 @@ EVENTS = 10_000
 """Failed exchanges are kept among so many events; the log has all of them."""
 
 
-class Summary:
+class Summary(Observer):
     """Observes a run and keeps what its metrics need, in a memory that does not grow with the run.
 
     Args:
@@ -43,9 +43,6 @@ class Summary:
         self.times = {name: StageTimes() for name in STAGES}
         self.steps = self.incomplete = self.clamped = 0
         self.effort = 0.0
-
-    def on_start(self, start: Start, time: float) -> None:
-        """Nothing to count yet."""
 
     def on_tick(self, tick: Tick) -> None:
         """Counts a turn of the loop; a turn of the hold is none."""
@@ -93,16 +90,8 @@ class Summary:
         if len(self.events) < EVENTS or event.kind != "exchange_failed":
             self.events.append(event)
 
-    def failure(self) -> str | None:
-        """Counting does not fail."""
-        return None
-
     def metrics(self, outcome: Outcome) -> dict[str, float]:
-        """Flat metrics, SI units in the names.
-
-        Args:
-            outcome: How the run ended.
-        """
+        """Flat metrics, SI units in the names."""
         metrics: dict[str, float] = {
             "exit_code": outcome.exit_code,
             "duration_s": outcome.duration,

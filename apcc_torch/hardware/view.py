@@ -7,9 +7,8 @@ from typing import TextIO
 
 import numpy as np
 
-from apcc_torch.hardware.control import Start
 from apcc_torch.hardware.interfaces import Array
-from apcc_torch.hardware.records import Event, Tick
+from apcc_torch.hardware.records import Event, Observer, Tick
 from apcc_torch.plain_text import for_terminal
 
 PERIOD = 0.1
@@ -67,12 +66,8 @@ def picture(tick: Tick | None, last: Tick | None, event: Event | None, full: flo
     return lines
 
 
-class TerminalView:
-    """Observes a run. `with` takes the terminal's other screen, and gives it back.
-
-    Args:
-        terminal: Where to draw.
-    """
+class TerminalView(Observer):
+    """Observes a run. `with` takes the terminal's other screen, and gives it back."""
 
     def __init__(self, terminal: TextIO) -> None:
         self.terminal = terminal
@@ -81,9 +76,6 @@ class TerminalView:
         self.event: Event | None = None
         self.over = threading.Event()
         self.thread = threading.Thread(target=self._work, name="view", daemon=True)
-
-    def on_start(self, start: Start, time: float) -> None:
-        """Nothing to show yet."""
 
     def on_tick(self, tick: Tick) -> None:
         """Keeps the turn for the next picture."""
@@ -94,10 +86,6 @@ class TerminalView:
     def on_event(self, event: Event) -> None:
         """Keeps the event for the next picture."""
         self.event = event
-
-    def failure(self) -> str | None:
-        """A view that cannot be drawn is no reason to stop."""
-        return None
 
     def __enter__(self) -> TerminalView:
         self.terminal.write(OTHER_SCREEN)

@@ -26,9 +26,6 @@ OPACITY = 0.5
 class SceneMessages:
     """Makes the messages.
 
-    Args:
-        size: Of the drawn arm.
-
     Raises:
         ConfigError: foxglove-sdk is not installed.
     """

@@ -49,10 +49,6 @@ class FoxgloveStream:
     `/tf` has the frames, `/sensors`, `/tip` and `/target` poses, `/arm` the scene, `/remarks` what happened, all of
     Foxglove's own schemas, and `/run` the numbers. Stamps are ns since 1970.
 
-    Args:
-        sink: Where to.
-        streamed: The arm.
-
     Attributes:
         topics: All of them.
 

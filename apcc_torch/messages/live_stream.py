@@ -31,10 +31,6 @@ BACKLOG = 64
 class LiveStream:
     """Streams samples of a run to whoever connects.
 
-    Args:
-        address: Where.
-        watched: The arm.
-
     Attributes:
         server: Of foxglove's.
 

@@ -44,9 +44,6 @@ class Sink(Protocol):
 class FileSink:
     """An MCAP file, good for `with`, which ends it.
 
-    Args:
-        stream: Where to.
-
     Raises:
         ConfigError: mcap is not installed.
     """

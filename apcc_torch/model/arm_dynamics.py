@@ -9,6 +9,7 @@ import torch
 from torch import Tensor, nn
 
 from apcc_torch.errors import ValueRangeError
+from apcc_torch.linalg import solve_spd
 from apcc_torch.model.abscissae import located
 from apcc_torch.model.equation_of_motion import Energy, EquationOfMotion
 from apcc_torch.model.kinematic_model import KinematicModel
@@ -128,10 +129,9 @@ class ArmDynamics(Part, ABC):
         return torch.diag_embed(self.damping_diagonal)
 
     def gravity(self, q: Tensor, payload: Payload = None) -> Tensor:
-        """G(q) = dU_gravity/dq (..., n), Eq. (38) [Dalenberg]; arguments as for `equation`."""
+        """G(q) = dU_gravity/dq (..., n), Eq. (38) [Dalenberg]; arguments as for `forward`."""
         return self.static_load(q, payload)
 
-    @abstractmethod
     def static_load(
         self,
         q: Tensor,
@@ -142,9 +142,10 @@ class ArmDynamics(Part, ABC):
         places: Tensor | None = None,
         place_wrenches: Tensor | None = None,
     ) -> Tensor:
-        """G(q) less the external loads (..., n), what tau - K q balances at rest; arguments as for `equation`."""
+        """G(q) less the external loads (..., n), what tau - K q balances at rest; arguments as for `forward`."""
+        loads = Loads(wrench, distributed, section_wrenches, places, place_wrenches)
+        return self.less_placed(self._at_rest(q, payload, loads), q, loads)
 
-    @abstractmethod
     def equation(
         self,
         q: Tensor,
@@ -156,11 +157,29 @@ class ArmDynamics(Part, ABC):
         places: Tensor | None = None,
         place_wrenches: Tensor | None = None,
     ) -> EquationOfMotion:
-        """M and C qdot + G less external loads, in one pass.
+        """M and C qdot + G less external loads, in one pass; arguments as for `forward`."""
+        loads = Loads(wrench, distributed, section_wrenches, places, place_wrenches)
+        inertia, bias = self._in_motion(q, qdot, payload, loads)
+        return EquationOfMotion(self._assembled(inertia), self.less_placed(bias, q, loads))
+
+    def forward(
+        self,
+        q: Tensor,
+        qdot: Tensor,
+        tau: Tensor,
+        payload: Payload = None,
+        wrench: Tensor | None = None,
+        distributed: Tensor | None = None,
+        section_wrenches: Tensor | None = None,
+        places: Tensor | None = None,
+        place_wrenches: Tensor | None = None,
+    ) -> Tensor:
+        """Accelerations qddot (..., n) from Eq. (35) [Dalenberg]; a row that cannot be solved is NaN.
 
         Args:
             q: (..., n) rad of angles, m of lengths.
             qdot: (..., n) their rates.
+            tau: (..., n) generalized actuation B u, N m of angles, N of lengths.
             payload: (...) point mass at the tip, kg.
             wrench: (..., 6) external torque (N m) and force (N) at the tip, world axes.
             distributed: (..., 3) external load per material length, world axes, N/m.
@@ -168,6 +187,28 @@ class ArmDynamics(Part, ABC):
             places: (..., p) material abscissae, m.
             place_wrenches: (..., p, 6) external torque and force there, world axes.
         """
+        check_tensor("tau", tau, (self.n,))
+        loads = Loads(wrench, distributed, section_wrenches, places, place_wrenches)
+        inertia, bias = self._in_motion(q, qdot, payload, loads)
+        K, D = self.diagonals
+        return self._solved(inertia, tau - self.less_placed(bias, q, loads) - K * q - D * qdot)  # Eq. (35)
+
+    @abstractmethod
+    def _at_rest(self, q: Tensor, payload: Payload, loads: Loads) -> Tensor:
+        """`static_load` without what `less_placed` takes off."""
+
+    @abstractmethod
+    def _in_motion(self, q: Tensor, qdot: Tensor, payload: Payload, loads: Loads) -> tuple[Any, Tensor]:
+        """M in the form that `_assembled` and `_solved` take, and the bias without what `less_placed` takes off."""
+
+    def _assembled(self, inertia: Any) -> Tensor:
+        """M (..., n, n)."""
+        M: Tensor = inertia
+        return M
+
+    def _solved(self, inertia: Any, force: Tensor) -> Tensor:
+        """M^-1 force (..., n)."""
+        return solve_spd(inertia, force.unsqueeze(-1)).squeeze(-1)
 
     @abstractmethod
     def energy(self, q: Tensor, qdot: Tensor, payload: Payload = None) -> Energy:

@@ -15,7 +15,7 @@ from apcc_torch.errors import ValueRangeError
 from apcc_torch.model.arm_dynamics import ArmDynamics
 from apcc_torch.model.backbone import PCCBackbone
 from apcc_torch.model.composite_inertia import Composite, assembled, composite, solved
-from apcc_torch.model.equation_of_motion import Energy, EquationOfMotion
+from apcc_torch.model.equation_of_motion import Energy
 from apcc_torch.model.inertia import ArmShape, Bending, arm_shape, bending, mass_points, moments, own_momentum
 from apcc_torch.model.loads import Loads, Payload, carried_wrench, distributed_load, front
 from apcc_torch.model.velocity_accelerations import accelerations, generalized_force, rates
@@ -88,45 +88,23 @@ class SoftArmDynamics(ArmDynamics):
             self.register_buffer(name, value, persistent=False)
 
     def inertia(self, q: Tensor, payload: Payload = None) -> Tensor:
-        """Inertia matrix M(q) (..., n, n), symmetric positive definite.
-
-        Args:
-            q: (..., 3 n_b) rad, rad, m.
-            payload: (...) point mass at the tip, kg.
-        """
+        """Inertia matrix M(q) (..., n, n), symmetric positive definite; arguments as for `forward`."""
         (place,), masses = self._state(payload, q=q)
         bend, base = self._bending(place)
         sums = moments(bend, masses)
         shape = arm_shape(bend, base, own_momentum(bend, sums))
         return assembled(composite(bend, shape, sums, self.before))
 
-    def static_load(
-        self,
-        q: Tensor,
-        payload: Payload = None,
-        wrench: Tensor | None = None,
-        distributed: Tensor | None = None,
-        section_wrenches: Tensor | None = None,
-        places: Tensor | None = None,
-        place_wrenches: Tensor | None = None,
-    ) -> Tensor:
-        """G(q) less the external loads (..., n), what tau - K q balances at rest; arguments as for `forward`."""
-        loads = Loads(wrench, distributed, section_wrenches, places, place_wrenches)
+    def _at_rest(self, q: Tensor, payload: Payload, loads: Loads) -> Tensor:
         (place,), masses = self._state(payload, loads, q=q)
         bend, base = self._bending(place)
         shape = arm_shape(bend, base, [])
         # Gravity is the force that lifts every point, m g along world z, seen from the frame at the section's base.
         forces = masses * (self.gravity_acceleration * shape.frames[2]).unsqueeze(1)
-        return self.less_placed(self._loaded(bend, shape, forces, loads), q, loads)
+        return self._loaded(bend, shape, forces, loads)
 
     def bias(self, q: Tensor, qdot: Tensor, payload: Payload = None) -> Tensor:
-        """Coriolis and centrifugal forces C(q, qdot) qdot (..., n).
-
-        Args:
-            q: (..., 3 n_b) rad, rad, m.
-            qdot: (..., 3 n_b) rad/s, rad/s, m/s.
-            payload: (...) point mass at the tip, kg.
-        """
+        """Coriolis and centrifugal forces C(q, qdot) qdot (..., n); arguments as for `forward`."""
         (place, rate), masses = self._state(payload, q=q, qdot=qdot)
         bend, base = self._bending(place)
         motion = rates(bend, rate, self.powers)
@@ -139,11 +117,7 @@ class SoftArmDynamics(ArmDynamics):
 
         The symbols are symmetric in their last two indices, so they are the polar form of the quadratic map
         b(v) = C(q, v) v, and column j of C(q, v) is (b(v + e_j) - b(v - e_j)) / 4: exact, without a derivative of M.
-
-        Args:
-            q: (..., 3 n_b) rad, rad, m.
-            qdot: (..., 3 n_b) rad/s, rad/s, m/s.
-            payload: (...) point mass at the tip, kg.
+        Arguments as for `forward`.
         """
         n = 3 * self.n_sections
         for name, value in {"q": q, "qdot": qdot}.items():
@@ -155,63 +129,8 @@ class SoftArmDynamics(ArmDynamics):
         # Eqs. (36) and (37), by polarization.
         return 0.25 * (columns[0] - columns[1]).movedim(0, -1)
 
-    def equation(
-        self,
-        q: Tensor,
-        qdot: Tensor,
-        payload: Payload = None,
-        wrench: Tensor | None = None,
-        distributed: Tensor | None = None,
-        section_wrenches: Tensor | None = None,
-        places: Tensor | None = None,
-        place_wrenches: Tensor | None = None,
-    ) -> EquationOfMotion:
-        """M and C qdot + G less external loads, in one pass; the arguments are those of `forward`."""
-        parts, bias = self._parts(
-            q, qdot, payload, Loads(wrench, distributed, section_wrenches, places, place_wrenches)
-        )
-        return EquationOfMotion(assembled(parts), bias)
-
-    def forward(
-        self,
-        q: Tensor,
-        qdot: Tensor,
-        tau: Tensor,
-        payload: Payload = None,
-        wrench: Tensor | None = None,
-        distributed: Tensor | None = None,
-        section_wrenches: Tensor | None = None,
-        places: Tensor | None = None,
-        place_wrenches: Tensor | None = None,
-    ) -> Tensor:
-        """Accelerations qddot (..., 3 n_b) from Eq. (35) [Dalenberg]; a row that cannot be solved is NaN.
-
-        Args:
-            q: (..., 3 n_b) rad, rad, m.
-            qdot: (..., 3 n_b) rad/s, rad/s, m/s.
-            tau: (..., 3 n_b) generalized actuation B u, N m, N m, N.
-            payload: (...) point mass at the tip, kg.
-            wrench: (..., 6) external torque (N m) and force (N) at the tip, world axes.
-            distributed: (..., 3) external load per material length, world axes, N/m.
-            section_wrenches: (..., n_b, 6) external torque and force at every section's tip, world axes.
-            places: (..., p) material abscissae, m.
-            place_wrenches: (..., p, 6) external torque and force there, world axes.
-        """
-        check_tensor("tau", tau, (3 * self.n_sections,))
-        parts, bias = self._parts(
-            q, qdot, payload, Loads(wrench, distributed, section_wrenches, places, place_wrenches)
-        )
-        K, D = self.diagonals
-        return solved(parts, tau - bias - K * q - D * qdot)  # Eq. (35)
-
     def energy(self, q: Tensor, qdot: Tensor, payload: Payload = None) -> Energy:
-        """Kinetic and potential energy, J; see `Energy`. Heights are measured from the world origin.
-
-        Args:
-            q: (..., 3 n_b) rad, rad, m.
-            qdot: (..., 3 n_b) rad/s, rad/s, m/s.
-            payload: (...) point mass at the tip, kg.
-        """
+        """See `ArmDynamics.energy`."""
         (place, rate), masses = self._state(payload, q=q, qdot=qdot)
         bend, base = self._bending(place)
         sums = moments(bend, masses)
@@ -225,8 +144,7 @@ class SoftArmDynamics(ArmDynamics):
         elastic = 0.5 * (self.stiffness_diagonal * q * q).sum(-1)
         return Energy(kinetic, gravity + elastic, gravity, elastic.expand_as(gravity))
 
-    def _parts(self, q: Tensor, qdot: Tensor, payload: Payload, loads: Loads) -> tuple[Composite, Tensor]:
-        """The parts of M and the bias of `EquationOfMotion`, in one pass."""
+    def _in_motion(self, q: Tensor, qdot: Tensor, payload: Payload, loads: Loads) -> tuple[Composite, Tensor]:
         (place, rate), masses = self._state(payload, loads, q=q, qdot=qdot)
         bend, base = self._bending(place)
         sums = moments(bend, masses)
@@ -234,7 +152,13 @@ class SoftArmDynamics(ArmDynamics):
         shape = arm_shape(bend, base, own_momentum(bend, sums) + motion.columns)
         forces = masses * accelerations(bend, motion, shape, rate, self.before, self.gravity_acceleration)
         bias = self._loaded(bend, shape, forces, loads)
-        return composite(bend, shape, sums, self.before), self.less_placed(bias, q, loads)
+        return composite(bend, shape, sums, self.before), bias
+
+    def _assembled(self, inertia: Composite) -> Tensor:
+        return assembled(inertia)
+
+    def _solved(self, inertia: Composite, force: Tensor) -> Tensor:
+        return solved(inertia, force)
 
     def _bending(self, place: Tensor) -> tuple[Bending, Tensor]:
         dims = place.dim() - 1

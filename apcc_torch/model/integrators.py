@@ -73,26 +73,6 @@ def guard(previous: Tensor, proposed: Tensor, diverged_at: Tensor, step: int | T
     return Guarded(state, torch.where(running & ~good, step, diverged_at))
 
 
-def rollout(step: Callable[[int, Tensor], Tensor], state: Tensor, n_steps: int, bound: float = 1e3) -> Guarded:
-    """Takes `n_steps` guarded steps; differentiable through the rows that stay good.
-
-    Args:
-        step: (index, state (..., m)) -> next state (..., m).
-        state: (..., m) initial state.
-        n_steps: Number of steps.
-        bound: See `guard`.
-
-    Returns:
-        The trajectory (n_steps + 1, ..., m), time first, and the step at which each row diverged, -1 if it did not.
-    """
-    diverged_at = torch.full(state.shape[:-1], -1, dtype=torch.int64, device=state.device)
-    states = [state]
-    for k in range(n_steps):
-        state, diverged_at = guard(state, step(k, state), diverged_at, k, bound)
-        states.append(state)
-    return Guarded(torch.stack(states), diverged_at)
-
-
 def rk4_step(field: Field, t: Tensor, x: Tensor, dt: float | Tensor) -> Tensor:
     """One classical Runge-Kutta step of dx/dt = field(t, x), order 4.
 

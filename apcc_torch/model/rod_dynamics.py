@@ -19,17 +19,14 @@ import torch
 from torch import Tensor
 
 from apcc_torch.errors import ConfigError
-from apcc_torch.linalg import solve_spd
 from apcc_torch.model.arm_dynamics import ArmDynamics
 from apcc_torch.model.chain import flatten_columns
 from apcc_torch.model.constant_strain import ConstantStrainBackbone
-from apcc_torch.model.equation_of_motion import Energy, EquationOfMotion
+from apcc_torch.model.equation_of_motion import Energy
 from apcc_torch.model.loads import Loads, Payload
 from apcc_torch.model.strain_chain import StrainChain
-from apcc_torch.modes import full_precision
 from apcc_torch.part import hold_numbers, refuse_parameter
 from apcc_torch.settings import Setting, aligned, check_setting
-from apcc_torch.shapes import check_tensor
 
 
 class _Bodies(NamedTuple):
@@ -137,38 +134,14 @@ class RodDynamics(ArmDynamics):
         return 1.0 / (1.0 / self.shear_stiffness + self.lengths**2 / (12.0 * self.bending_stiffness))
 
     def inertia(self, q: Tensor, payload: Payload = None) -> Tensor:
-        """Inertia matrix M(q) (..., n, n), symmetric positive definite; arguments as for `equation`."""
+        """Inertia matrix M(q) (..., n, n), symmetric positive definite; arguments as for `forward`."""
         return self._inertia(self._bodies(payload, q=q)[0])
 
-    def static_load(
-        self,
-        q: Tensor,
-        payload: Payload = None,
-        wrench: Tensor | None = None,
-        distributed: Tensor | None = None,
-        section_wrenches: Tensor | None = None,
-        places: Tensor | None = None,
-        place_wrenches: Tensor | None = None,
-    ) -> Tensor:
-        """See `ArmDynamics.static_load`."""
-        loads = Loads(wrench, distributed, section_wrenches, places, place_wrenches)
+    def _at_rest(self, q: Tensor, payload: Payload, loads: Loads) -> Tensor:
         bodies, _ = self._bodies(payload, loads, q=q)
-        bias = self._loaded(bodies, self._weights(bodies), torch.zeros_like(bodies.chain.ends), loads)
-        return self.less_placed(bias, q, loads)
+        return self._loaded(bodies, self._weights(bodies), torch.zeros_like(bodies.chain.ends), loads)
 
-    def equation(
-        self,
-        q: Tensor,
-        qdot: Tensor,
-        payload: Payload = None,
-        wrench: Tensor | None = None,
-        distributed: Tensor | None = None,
-        section_wrenches: Tensor | None = None,
-        places: Tensor | None = None,
-        place_wrenches: Tensor | None = None,
-    ) -> EquationOfMotion:
-        """See `ArmDynamics.equation`."""
-        loads = Loads(wrench, distributed, section_wrenches, places, place_wrenches)
+    def _in_motion(self, q: Tensor, qdot: Tensor, payload: Payload, loads: Loads) -> tuple[Tensor, Tensor]:
         bodies, (_, rate) = self._bodies(payload, loads, q=q, qdot=qdot)
         motion = bodies.chain.drift(rate)
         spin, z, lever = motion.spin, bodies.chain.tangents, bodies.levers
@@ -178,27 +151,7 @@ class RodDynamics(ArmDynamics):
         along = (z * motion.spin_rate).sum(-1, keepdim=True) * z
         gyration = (z * spin).sum(-1, keepdim=True) * torch.linalg.cross(spin, z)
         torques = bodies.discs.unsqueeze(-1) * (motion.spin_rate + along + gyration)
-        bias = self._loaded(bodies, forces, torques, loads)
-        return EquationOfMotion(self._inertia(bodies), self.less_placed(bias, q, loads))
-
-    @full_precision
-    def forward(
-        self,
-        q: Tensor,
-        qdot: Tensor,
-        tau: Tensor,
-        payload: Payload = None,
-        wrench: Tensor | None = None,
-        distributed: Tensor | None = None,
-        section_wrenches: Tensor | None = None,
-        places: Tensor | None = None,
-        place_wrenches: Tensor | None = None,
-    ) -> Tensor:
-        """Accelerations qddot (..., n) under tau (..., n); other arguments as for `equation`."""
-        check_tensor("tau", tau, (self.n,))
-        M, bias = self.equation(q, qdot, payload, wrench, distributed, section_wrenches, places, place_wrenches)
-        K, D = self.diagonals
-        return solve_spd(M, (tau - bias - K * q - D * qdot).unsqueeze(-1)).squeeze(-1)
+        return self._inertia(bodies), self._loaded(bodies, forces, torques, loads)
 
     def energy(self, q: Tensor, qdot: Tensor, payload: Payload = None) -> Energy:
         """See `ArmDynamics.energy`."""

@@ -14,10 +14,6 @@ from apcc_torch.errors import CompileError
 class Method(nn.Module):
     """A method of a module as a module's `forward`.
 
-    Args:
-        of: The module.
-        name: Of its method.
-
     Example:
         >>> tip = Method(PCCBackbone(2), "tip")
         >>> tip(torch.zeros(6), torch.tensor([0.2, 0.25]))

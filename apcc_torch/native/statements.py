@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from apcc_torch.native.alike import Places, evenly, shared
+from apcc_torch.native.alike import INPUTS, NUMBERS, OUTPUTS, SCRATCH, Places, evenly, shared
 from apcc_torch.native.layout import ARRAY, TYPE, Layout, Move, Part, Row, Runs, kept_as, laid_out, places
 from apcc_torch.native.scalars import BOOL, FLOAT, INT, Expression, Loop
 from apcc_torch.native.series import Series
@@ -18,8 +18,8 @@ _INFIX = {
     "lt": "<", "le": "<=", "eq": "==", "ne": "!=",
 }  # fmt: skip
 _SIGNATURE = (
-    "void part_{}([[maybe_unused]] const Inputs& in, [[maybe_unused]] const REAL* __restrict k, "
-    "[[maybe_unused]] Scratch& s, [[maybe_unused]] Outputs& out)"
+    f"void part_{{}}([[maybe_unused]] const Inputs& {INPUTS}, [[maybe_unused]] const REAL* __restrict {NUMBERS}, "
+    f"[[maybe_unused]] Scratch& {SCRATCH}, [[maybe_unused]] Outputs& {OUTPUTS})"
 )
 _LARGEST_OF_FORM = 16.0
 # The functions of lanes.hpp whose names differ from the operation's with an underscore behind it.
@@ -75,7 +75,7 @@ class _Writer:
         starts, self.outputs = places(trace.outputs)
         for leaf, start, row in zip(trace.outputs, starts, trace.results, strict=True):
             for k, index in enumerate(row, start):
-                place = f"out.{ARRAY[kind_of(leaf.dtype)]}[{k}]"
+                place = _at(OUTPUTS, kind_of(leaf.dtype), k)
                 if index in layout.part_of and index not in layout.in_formula:
                     self.targets.setdefault(index, []).append(place)
                 else:
@@ -98,10 +98,10 @@ class _Writer:
         lines = []
         for item in program:
             if isinstance(item, Part):
-                lines.append(f"part_{item.number}(in, numbers, s, out);")
+                lines.append(f"part_{item.number}({INPUTS}, numbers, {SCRATCH}, {OUTPUTS});")
                 continue
             loop = self.scalars.loops[item.loop]
-            more = f"any(s.b[{self.slots.of[loop.variables[loop.going or 0]]}])"
+            more = f"any({self._slot(loop.variables[loop.going or 0])})"
             lines.append(f"for (int n{item.loop} = 0; n{item.loop} < {loop.times} && {more}; ++n{item.loop}) {{")
             lines += [f"    {line}" for line in self.calls(item.body)]
             lines.append("}")
@@ -152,7 +152,7 @@ class _Writer:
             ]
             lines.append(f"    const {TYPE[expression.kind]} {name} = {self._formula(expression, operands)};")
             if first in self.slots.of:
-                lines.append(f"    s.{ARRAY[expression.kind]}[{self.slots.of[first]} + n] = {name};")
+                lines.append(f"    {_at(SCRATCH, expression.kind, f'{self.slots.of[first]} + n')} = {name};")
         return [*lines, "}"]
 
     def _in_slice(self, operand: Places, part: Part) -> tuple[str, str]:
@@ -161,17 +161,16 @@ class _Writer:
             return self._written(operand[0], part)
         expression = self.expressions[operand[0]]
         row = self.layout.row(part, operand)
-        if row is not None:
-            name = f"s.{ARRAY[expression.kind]}[{self.slots.of[row]} + n]"
-        elif expression.op == "input":
-            name = f"in.{ARRAY[expression.kind]}[{self._along([int(self.expressions[i].value or 0) for i in operand])}]"
-        elif expression.value is not None:
-            name = f"k[{self._numbers(operand)} + n]"
+        if row is None and expression.op != "input" and expression.value is not None:
+            name = f"{NUMBERS}[{self._numbers(operand)} + n]"
             return name, f"{_SPLAT[expression.kind]}({name})"
+        if row is not None:
+            name = _at(SCRATCH, expression.kind, f"{self.slots.of[row]} + n")
+        elif expression.op == "input":
+            name = _at(INPUTS, expression.kind, self._along([int(self.expressions[i].value or 0) for i in operand]))
         else:
-            name = (
-                f"s.{ARRAY[expression.kind]}[{self._along([self.slots.of[kept_as(self.scalars, i)] for i in operand])}]"
-            )
+            slots_of_them = [self.slots.of[kept_as(self.scalars, i)] for i in operand]
+            name = _at(SCRATCH, expression.kind, self._along(slots_of_them))
         return name, name
 
     def _along(self, numbers: list[int]) -> str:
@@ -183,7 +182,7 @@ class _Writer:
         return f"{min(numbers)} + table_{self.tables.setdefault(table, len(self.tables))}[n]"
 
     def _in_row(self, row: Row, place: int) -> str:
-        return f"s.{ARRAY[self.expressions[row.places[0]].kind]}[{self.slots.of[row] + place}]"
+        return _at(SCRATCH, self.expressions[row.places[0]].kind, self.slots.of[row] + place)
 
     def _handed_on(self, number: int, loop: Loop, values: list[int], part: Part) -> list[str]:
         """A loop's state becomes these values: all are read before one is written."""
@@ -196,7 +195,7 @@ class _Writer:
         return read + written
 
     def _slot(self, index: int) -> str:
-        return f"s.{ARRAY[self.expressions[index].kind]}[{self.slots.of[index]}]"
+        return _at(SCRATCH, self.expressions[index].kind, self.slots.of[index])
 
     def _written(self, index: int, part: Part) -> tuple[str, str]:
         """An operand as it stands beside others, and as it stands alone, where a number has to fill all lanes."""
@@ -218,7 +217,7 @@ class _Writer:
     def _name(self, index: int, part: Part) -> str:
         expression = self.expressions[index]
         if expression.op == "input":
-            return f"in.{ARRAY[expression.kind]}[{expression.value}]"
+            return _at(INPUTS, expression.kind, int(expression.value or 0))
         if expression.op == "constant" and is_form(expression):
             return _literal(expression)
         if expression.value is not None:
@@ -232,7 +231,7 @@ class _Writer:
         if index not in self._number_of:
             self._number_of[index] = len(self.numbers)
             self.numbers.append(index)
-        return f"k[{self._number_of[index]}]"
+        return f"{NUMBERS}[{self._number_of[index]}]"
 
     def _numbers(self, places: Places) -> int:
         """Where the numbers of a row begin."""
@@ -246,6 +245,11 @@ class _Writer:
         name = self._name(index, part)
         plain = expression.value is not None and expression.op != "input"
         return f"{_SPLAT[expression.kind]}({name})" if plain else name
+
+
+def _at(memory: str, kind: str, place: int | str) -> str:
+    """A place of a memory, in its array of one kind."""
+    return f"{memory}.{ARRAY[kind]}[{place}]"
 
 
 def is_form(expression: Expression) -> bool:

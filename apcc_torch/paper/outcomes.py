@@ -7,7 +7,8 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 from apcc_torch.composition.run_settings import SimulateSettings
-from apcc_torch.experiments.dynamic import Arms, curves, dynamic_metrics, effort_metrics, simulate, thinned
+from apcc_torch.experiments.dynamic import Arms, curves, simulate, thinned
+from apcc_torch.experiments.dynamic_metrics import dynamic_metrics, effort_metrics
 from apcc_torch.experiments.folder import warn
 from apcc_torch.model.arm import Lengths
 from apcc_torch.paper.best_lengths import Limits, limits

@@ -21,10 +21,6 @@ class BagFile:
     """A bag that is open for writing; `bag_file` makes one.
 
     Messages are of the types of ROS 2 Humble. Stamps are ns since 1970.
-
-    Args:
-        writer: rosbags' own.
-        store: Its types.
     """
 
     def __init__(self, writer: Any, store: Any) -> None:

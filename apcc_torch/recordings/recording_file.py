@@ -107,26 +107,11 @@ def load_recording(path: str | Path, *given: Any, arm: Arm | None = None, **chan
 def _table(path: Path, settings: RecordingSettings, inputs: int | None) -> FramesRead:
     path = _file(path)
     text = text_of(path)
-    vendor = vendor_of(text) if settings.layout == "auto" else None
+    vendor = {"auto": vendor_of(text), "table": None}.get(settings.layout, settings.layout)
     if vendor is not None:
-        return _export(path, text, settings, vendor)
+        return _frames(*{"motive": motive, "qualisys": qualisys}[vendor](path, text, settings), settings)
     sheet = sheet_of(path, text, settings.delimiter, settings.decimal, settings.comment)
     return _frames(sheet, columns_in(sheet, settings, inputs), settings)
-
-
-def _export(path: Path, text: str, settings: RecordingSettings, vendor: str) -> FramesRead:
-    sheet, columns = {"motive": motive, "qualisys": qualisys}[vendor](path, text, settings)
-    return _frames(sheet, columns, settings)
-
-
-def _motive(path: Path, settings: RecordingSettings, _: int | None) -> FramesRead:
-    path = _file(path)
-    return _export(path, text_of(path), settings, "motive")
-
-
-def _qualisys(path: Path, settings: RecordingSettings, _: int | None) -> FramesRead:
-    path = _file(path)
-    return _export(path, text_of(path), settings, "qualisys")
 
 
 def _file(path: Path) -> Path:
@@ -237,8 +222,8 @@ def _numbered_rows(sheet: Sheet) -> int:
 READERS: dict[str, Callable[[Path, RecordingSettings, int | None], FramesRead]] = {
     "table": _table,
     "trunk": _trunk,
-    "motive": _motive,
-    "qualisys": _qualisys,
+    "motive": _table,
+    "qualisys": _table,
     "bag": bag_frames,
 }
 """Layout -> what reads it; the arm's number of inputs, where it is known, tells columns that nothing else tells."""

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from apcc_torch.control.controller import APCCController
 from apcc_torch.control.step_io import Measurement, Target
-from apcc_torch.errors import ConfigError, DataError, ShapeError, ValueRangeError
+from apcc_torch.errors import ConfigError, DataError, ShapeError
 from apcc_torch.estimation.feedback import Feedback
 from apcc_torch.estimation.rest_calibration import RestCalibration
 from apcc_torch.estimation.savitzky_golay import SavitzkyGolay, SavitzkyGolayState
@@ -19,15 +19,11 @@ from apcc_torch.lie import se3
 from apcc_torch.model.kinematic_model import KinematicModel
 from apcc_torch.recordings.recorded_arm import gate_frames
 from apcc_torch.recordings.recording import Recording
-from apcc_torch.recordings.replay_log import ReplayLog, SensorErrors, sensor_errors
+from apcc_torch.recordings.replay_log import ReplayLog
 from apcc_torch.recordings.rest_pose import poses_of, unturned
 from apcc_torch.shapes import broadcast
 from apcc_torch.simulation.progress import Progress, quiet
 
-_SETTINGS = (
-    *("mode", "angular_weight", "max_iterations", "min_iterations", "linear_threshold", "angular_threshold"),
-    *("bend_step", "length_step", "damping", "settled_step"),
-)
 _BLOCK = 100  # frames a sweep
 
 
@@ -83,7 +79,6 @@ def replay(
     estimator: StateFeedback | APCCController,
     gate: SensorGate,
     pi_hat: Tensor | None = None,
-    q: Tensor | None = None,
     mask: Tensor | None = None,
     velocity_filter: SavitzkyGolay | None = None,
     frames: slice = slice(None),
@@ -106,7 +101,6 @@ def replay(
         gate: Decides what the estimator is shown.
         pi_hat: (..., n_b) rest lengths, m, the first ones where a controller adapts; None: the calibration's, where
             one section ends at each sensor. The replay follows its dtype and device.
-        q: (..., 3 n_b) first seed; None: straight.
         mask: (..., k) bool, False for a sensor never shown to the estimator; None: all are shown.
         velocity_filter: Derivative of q_bar for an estimator alone; None: window 15, order 2.
         frames: Which frames, gated as if there were no others.
@@ -142,13 +136,13 @@ def replay(
         raise ConfigError("parallel must be False for a controller: its parameters come from the frames before")
     backbone = feedback.backbone
     pi_hat = calibration.rest_lengths if pi_hat is None else pi_hat
-    q = pi_hat.new_zeros(backbone.n) if q is None else q
+    q = pi_hat.new_zeros(backbone.n)
     backbone.check(q, pi_hat)
     gated = _frames(recording, calibration, feedback, gate, frames, pi_hat)
     shown, oriented = gated.verdict.position_ok, gated.verdict.orientation_ok
     if mask is None:
         mask = shown.new_ones(shown.shape[-1])
-    batch = broadcast(q.shape[:-1], pi_hat.shape[:-1], mask.shape[:-1])
+    batch = broadcast(pi_hat.shape[:-1], mask.shape[:-1])
     q, pi_hat = q.expand(*batch, backbone.n), pi_hat.expand(*batch, backbone.n_sections)
     per_frame = (len(shown), *[1] * len(batch), -1)
     shown, oriented = shown.reshape(per_frame) & mask, oriented.reshape(per_frame) & mask
@@ -257,55 +251,3 @@ def _run(
     tip = controller.backbone.tip(columns[0], columns[2])
     codes = (gated.verdict.position_reason, gated.verdict.orientation_reason)
     return ReplayLog(*[gated.time, gated.T, *columns[:-1], *codes, tip, columns[-1]])
-
-
-def held_out_error(
-    recording: Recording,
-    calibration: RestCalibration,
-    feedback: StateFeedback,
-    gate: SensorGate,
-    frames: slice = slice(None),
-    progress: Progress = quiet,
-) -> SensorErrors:
-    """How well a sensor is predicted by a fit that never sees it: an independent check of the model's shape.
-
-    For each sensor but the last, the arm is modelled as it would be without it, one section ending at each sensor
-    that is left, and fitted to those in the estimator's mode; the sensor then lies inside a section. (The model with
-    a section for every sensor leaves open where a sensor that is not shown lies.) Beyond the last one that is shown
-    the arm is not known.
-
-    Args:
-        recording, calibration, feedback, gate, frames, progress: As `replay`; of `feedback` the settings are taken.
-
-    Returns:
-        linear and angular (N, k - 1): column i from the fit without sensor i, NaN where the gate did not accept it.
-
-    Raises:
-        ValueRangeError: There is a single sensor.
-        ApccError: As `replay`.
-
-    Example:
-        >>> place = torch.tensor([[0.0, 0.0, -0.2], [0.0, 0.0, -0.45]]).double().expand(50, 2, 3)
-        >>> turn = torch.tensor([1.0, 0.0, 0.0, 0.0]).double().expand(50, 2, 4)
-        >>> still = Recording(("middle", "tip"), torch.arange(50).double() / 100, place, turn, torch.ones(50, 2).bool())
-        >>> arm = recorded_arm(still, direction=None, rest=50, base_position=[0.0, 0.0, 0.0])
-        >>> errors = held_out_error(still, arm.calibration, arm.feedback, arm.gate)
-        >>> bool(errors.linear.nanmean() < 1e-4)
-        True
-    """
-    X = calibration.abscissae
-    k = len(X)
-    if k < 2:
-        raise ValueRangeError("feedback must have two sensors or more for one to be left out")
-    shown = ~torch.eye(k, dtype=torch.bool)[: k - 1]
-    pi_hat = torch.stack([torch.diff(X[row], prepend=X.new_zeros(1)) for row in shown])
-    fewer = StateFeedback(
-        feedback.backbone.resized(k - 1).cpu(),
-        X,
-        **{name: getattr(feedback, name) for name in _SETTINGS},
-    )
-    log = replay(
-        recording, calibration, fewer, gate, pi_hat, mask=shown, frames=frames, parallel=True, progress=progress
-    )
-    errors = sensor_errors(log, fewer)
-    return SensorErrors(*(part.diagonal(dim1=-2, dim2=-1) for part in errors))

@@ -66,10 +66,6 @@ def sensor_errors(log: ReplayLog, feedback: StateFeedback) -> SensorErrors:
     """How far the inferred shape is from every accepted measurement, in metres and radians whatever the mode.
 
     Sensors that `replay`'s mask left out are measured too.
-
-    Args:
-        log: The replay.
-        feedback: Its estimator.
     """
     X_tilde, j = decouple(feedback.abscissae.to(log.pi_hat), log.pi_hat)
     model = feedback.backbone.pose(log.q_bar, log.pi_hat, X_tilde, j)

@@ -30,10 +30,10 @@ except ImportError:  # an extra; GIF needs only what matplotlib brings
 INCHES, PIXELS_PER_INCH = (8.0, 4.5), 100
 
 
-def frame_indices(time: Array, fps: float, speed: float, max_frames: int) -> Array:
+def frame_indices(time: Array, fps: float, max_frames: int) -> Array:
     """Which of the moments (T,) s to show: evenly in time, first and last included, at most `max_frames`."""
     duration = float(time[-1] - time[0])
-    count = min(max_frames, int(duration / speed * fps + 1e-9) + 1)
+    count = min(max_frames, int(duration * fps + 1e-9) + 1)
     wanted = np.linspace(time[0], time[-1], max(count, 1))
     after = np.searchsorted(time, wanted).clip(1, max(len(time) - 1, 1)) if len(time) > 1 else np.zeros(1, int)
     before = np.maximum(after - 1, 0)
@@ -101,8 +101,7 @@ class Stage:
             self.moving.append(self.star)
         keys = space_key(markers=self.markers.shape[1] > 0, target=self.target is not None)
         keys[1].set_color(style.SKY)
-        look = {"frameon": False, "fontsize": 10.0, "labelcolor": style.INK}
-        self.figure.legend(handles=keys, loc="upper left", ncols=4, bbox_to_anchor=(0.0, 1.0), **look)
+        style.figure_legend(self.figure, keys, loc="upper left", bbox_to_anchor=(0.0, 1.0), fontsize=10.0)
         self.clock = self.figure.text(0.985, 0.965, "", ha="right", va="top", fontsize=12, color=style.INK)
         self.moving.append(self.clock)
 
@@ -153,9 +152,7 @@ def save_animation(
     shots: Snapshots,
     readouts: Mapping[str, Tensor] | None = None,
     fps: int = 25,
-    speed: float = 1.0,
     max_frames: int = 250,
-    camera: Camera | None = None,
     warning: str | None = None,
 ) -> Path:
     """Writes the film of a run: .mp4 where imageio-ffmpeg has an ffmpeg, else .gif; whole or not at all.
@@ -165,9 +162,7 @@ def save_animation(
         shots: The run, every moment of it (T, …); target (3,) or (T, 3).
         readouts: Label with unit -> (T,) curves that run along, two or so.
         fps: Frames a second of film.
-        speed: Seconds of the run a second of film. A run too long for `max_frames` is shown faster.
-        max_frames: Most frames.
-        camera: From where.
+        max_frames: Most frames; a run too long for them is shown faster.
         warning: Stands below it: that what it shows diverged.
 
     Returns:
@@ -175,21 +170,21 @@ def save_animation(
 
     Raises:
         ShapeError, DtypeError: A field does not fit the others.
-        ValueRangeError: fps, speed or max_frames is not positive.
+        ValueRangeError: fps or max_frames is not positive.
     """
     check_snapshots("shots", shots)
     readouts = {} if readouts is None else readouts
     for label, curve in readouts.items():
         check_tensor(label, curve[None], (1, len(shots.time)))
-    if not (fps > 0 and speed > 0 and max_frames > 0):
-        raise ValueRangeError(f"fps, speed and max_frames must be positive, got {fps}, {speed}, {max_frames}")
+    if not (fps > 0 and max_frames > 0):
+        raise ValueRangeError(f"fps and max_frames must be positive, got {fps} and {max_frames}")
     # An absolute path: ffmpeg takes what stands before a colon for a protocol.
     base = Path(path_without_suffix).absolute()
     film = has_ffmpeg()
     target = base.with_name(base.name + (".mp4" if film else ".gif"))
     with style.own_look(), draft_of(target) as draft:
-        stage = Stage(shots, readouts, Camera() if camera is None else camera, warning)
-        indices = frame_indices(stage.time, fps, speed, max_frames)
+        stage = Stage(shots, readouts, Camera(), warning)
+        indices = frame_indices(stage.time, fps, max_frames)
         pictures = (stage.frame(int(k)) for k in indices)
         if film:
             _write_mp4(draft, pictures, fps)

@@ -104,9 +104,9 @@ def draw_markers(space: Space, points: Array, size: float = 6.0, zorder: float =
     return space.plot(points.reshape(-1, 3), markeredgecolor="white", markeredgewidth=0.7, zorder=zorder, **look)
 
 
-def draw_target(space: Space, target: Array, size: float = 16.0) -> Line2D:
+def draw_target(space: Space, target: Array) -> Line2D:
     """A star at each of (..., 3)."""
-    look = {"marker": "*", "linestyle": "none", "color": style.TARGET, "markersize": size}
+    look = {"marker": "*", "linestyle": "none", "color": style.TARGET, "markersize": 16.0}
     return space.plot(target.reshape(-1, 3), markeredgecolor="white", markeredgewidth=0.9, zorder=6.0, **look)
 
 

@@ -98,9 +98,7 @@ def band(data: Array) -> Band:
     return Band(kept.mean(1), kept.min(1), kept.max(1), int(finite.sum()), len(finite))
 
 
-def draw_band(
-    ax: Axes, time: Array, data: Array, color: str, label: str, dashes: Any = "-", width: float = 2.2
-) -> Band:
+def draw_band(ax: Axes, time: Array, data: Array, color: str, label: str, dashes: Any = "-") -> Band:
     """Draws mean and band of runs (T, R); where runs were left out the label counts them."""
     drawn = band(data)
     if drawn.counted < drawn.total:
@@ -109,7 +107,7 @@ def draw_band(
         ax.fill_between(time, drawn.low, drawn.high, color=color, alpha=0.17, linewidth=0)
         for edge in (drawn.low, drawn.high):
             ax.plot(time, edge, color=color, linewidth=0.7, alpha=0.55)
-    ax.plot(time, drawn.mean, color=color, linewidth=width, linestyle=dashes, label=label)
+    ax.plot(time, drawn.mean, color=color, linewidth=2.2, linestyle=dashes, label=label)
     return drawn
 
 
@@ -128,9 +126,7 @@ def time_label(runs: Runs) -> str:
     return TIME if most == 1 else f"{TIME}; lines are means, bands reach from the least to the largest of {most} runs"
 
 
-def curve_figure(
-    runs: Runs, field: str, scale: float, unit: str, name: str, title: str = "", log: bool = False
-) -> Figure:
+def curve_figure(runs: Runs, field: str, scale: float, unit: str, name: str, title: str = "") -> Figure:
     """Mean and band of one scalar field of `RunCurves` over time.
 
     Args:
@@ -140,7 +136,6 @@ def curve_figure(
         unit: The drawn unit.
         name: What the axis is called.
         title: Text over the axes.
-        log: Whether the axis is logarithmic.
 
     Raises:
         ShapeError, DtypeError, ValueRangeError: The runs do not fit each other, or none is finite.
@@ -150,10 +145,7 @@ def curve_figure(
     ax = figure.subplots()
     draw_curve(ax, runs, field, scale, unit)
     style.dress(ax, time_label(runs), f"{name} ({unit})", title)
-    if log:
-        style.log_scale(ax, [scale * values(getattr(curves, field)) for curves in runs.values()])
-    else:
-        style.from_zero(ax)
+    style.from_zero(ax)
     _legend_above(ax)
     return figure
 
@@ -250,13 +242,11 @@ def sensor_figure(runs: Runs, title: str = "", names: Sequence[str] | None = Non
         for f in range(2):
             panels[2 * (s // columns) + f, s % columns].set_axis_off()
     style.fit_time(panels[0, 0], values(next(iter(runs.values())).time))
-    handles, labels = panels[0, 0].get_legend_handles_labels()
-    look = {"frameon": False, "fontsize": style.LEGEND, "labelcolor": style.INK}
     figure.get_layout_engine().set(wspace=0.06)  # type: ignore[union-attr,call-arg]
     most = max(curves.e.shape[1] for curves in runs.values())
     about = "means over time" if most == 1 else f"means over time and {most} runs; bands from the least to the largest"
     head = "; ".join(part for part in (title, about) if part)
-    figure.legend(handles, labels, loc="outside upper right", ncols=len(labels), title=head, **look)
+    style.figure_legend(figure, panels[0, 0], loc="outside upper right", title=head)
     return figure
 
 

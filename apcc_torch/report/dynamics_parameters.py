@@ -56,7 +56,5 @@ def dynamics_parameter_figure(time: Tensor, theta_hat: Tensor, true: Tensor | No
         style.dress(ax, TIME if ax in panels[1] else "", label, title if ax is panels[0, 0] else "")
         ax.margins(y=0.12)
         style.fit_time(ax, clock)
-    handles, labels = panels[0, 1].get_legend_handles_labels()
-    look = {"frameon": False, "fontsize": style.LEGEND, "labelcolor": style.INK}
-    figure.legend(handles, labels, loc="outside upper right", ncols=len(labels), **look)
+    style.figure_legend(figure, panels[0, 1], loc="outside upper right")
     return figure

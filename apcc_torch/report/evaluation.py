@@ -138,8 +138,7 @@ class Leaderboard(NamedTuple):
         if len(sessions) > 1:  # a session's bars are as pale in every method's colour
             shades = [style.faded(style.INK, 1.0 - 0.6 * k / (len(sessions) - 1)) for k in range(len(sessions))]
             keys = [Patch(color=shade, label=session) for shade, session in zip(shades, sessions, strict=True)]
-            look = {"frameon": False, "fontsize": style.LEGEND, "labelcolor": style.INK}
-            figure.legend(handles=keys, loc="outside lower center", ncols=min(len(keys), 3), **look)
+            style.figure_legend(figure, keys, loc="outside lower center", ncols=min(len(keys), 3))
         style.dress(ax, "root mean square error (mm)", "", title)
         ax.grid(False, axis="y")
         ax.margins(x=0.12)

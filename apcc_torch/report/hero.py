@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -67,8 +66,7 @@ def hero_figure(
     keys.append(Line2D([], [], marker="o", color=style.SENSOR, markersize=7, linestyle="none", label="sensors"))
     if path is not None:
         keys.append(Line2D([], [], color=style.TARGET, linewidth=1.6, linestyle=":", label="desired path"))
-    look: dict[str, Any] = {"frameon": False, "fontsize": style.LEGEND, "labelcolor": style.INK}
-    figure.legend(handles=keys, loc="upper center", ncols=len(keys), bbox_to_anchor=(0.5, 1.0), **look)
+    style.figure_legend(figure, keys, loc="upper center", bbox_to_anchor=(0.5, 1.0))
     return figure
 
 

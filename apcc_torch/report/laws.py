@@ -8,7 +8,7 @@ from math import isfinite
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, NullLocator
 
-from apcc_torch.report.style import INK, LEGEND, SERIES, WIDEST, dress, legend, new_figure
+from apcc_torch.report.style import INK, SERIES, WIDEST, dress, figure_legend, legend, new_figure
 from apcc_torch.report.trade_off import TICKS, spaced
 
 MARKERS = ("o", "v", "^", "D", "s", "P", "X")
@@ -43,8 +43,7 @@ def law_figure(runs: Mapping[str, Mapping[str, tuple[float, float]]], title: str
             axis.set_minor_locator(NullLocator())
         ax.set_xlim(0.7 * min(psis), 1.4 * max(psis))
         ax.set_ylim(0.7 * min(shapes), 1.4 * max(shapes))
-    handles, labels = axes[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=2, frameon=False, fontsize=LEGEND, labelcolor=INK)
+    figure_legend(figure, axes[0], loc="outside lower center", ncols=2)
     return figure
 
 

@@ -42,9 +42,7 @@ def overlay_figure(moments: Mapping[str, Overlay]) -> Figure:
         style.dress(ax, "y (m)", "z (m)" if ax is axes[0] else "", name)
         ax.locator_params(nbins=5)
         ax.set_aspect("equal", adjustable="box")
-    handles, labels = axes[0].get_legend_handles_labels()
-    look = {"frameon": False, "fontsize": style.LEGEND, "labelcolor": style.INK}
-    figure.legend(handles, labels, loc="outside upper center", ncols=len(labels), **look)
+    style.figure_legend(figure, axes[0], loc="outside upper center")
     return figure
 
 

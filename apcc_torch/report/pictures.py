@@ -52,10 +52,6 @@ def data_uri(content: bytes, kind: str) -> str:
 def picture(name: str, content: bytes) -> Picture:
     """A PNG as a picture of a page: WebP, which is a third as large.
 
-    Args:
-        name: Its file name.
-        content: The file.
-
     Raises:
         DataError: It is no picture.
     """

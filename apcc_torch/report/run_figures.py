@@ -28,9 +28,9 @@ def in_sections(true_lengths: Tensor, n_sections: int) -> Tensor | None:
     return true_lengths.unflatten(-1, (n_sections, -1)).sum(-1)
 
 
-def at_moments(shots: Snapshots, count: int = MOMENTS) -> Snapshots:
+def at_moments(shots: Snapshots) -> Snapshots:
     """Some of a run's moments, evenly spread."""
-    at = spread_indices(shots.time, float(shots.time[0]), float(shots.time[-1]), count)
+    at = spread_indices(shots.time, float(shots.time[0]), float(shots.time[-1]), MOMENTS)
     target = shots.target
     kept = target if target is None or target.dim() == 1 else target[at]
     time, true, model, on_true, on_model = (field[at] for field in shots[:5])

@@ -87,7 +87,7 @@ def final_figure(shapes: Mapping[str, tuple[Tensor, Tensor]]) -> Figure:
         ax.set_title(name.replace("_", " "), fontsize=style.TITLE, color=style.INK)
     sensors = space_key(target=False)[-1]
     keys = [Line2D([], [], color=style.TRUE, linewidth=4.0, label="curve through the sensors"), sensors]
-    figure.legend(handles=keys, loc="upper center", ncols=2, frameon=False, fontsize=style.LEGEND, labelcolor=style.INK)
+    style.figure_legend(figure, keys, loc="upper center")
     return figure
 
 

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib import colors, rc_context, rcParamsDefault
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
@@ -82,6 +83,13 @@ def legend(ax: Axes, **options: Any) -> None:
     ax.legend(**(look | options))
 
 
+def figure_legend(figure: Figure, entries: Axes | Sequence[Artist], **options: Any) -> None:
+    """A legend of the whole figure, in one row unless `ncols` is given: of an axes' labelled artists, or of these."""
+    handles = entries.get_legend_handles_labels()[0] if isinstance(entries, Axes) else entries
+    look: dict[str, Any] = {"fontsize": LEGEND, "labelcolor": INK, "frameon": False, "ncols": len(handles)}
+    figure.legend(handles=handles, **(look | options))
+
+
 def fit_time(ax: Axes, time: Array) -> None:
     """Time limits that touch the data."""
     if len(time) > 1 and time[-1] > time[0]:
@@ -111,11 +119,11 @@ def decade(value: float) -> str:
     return f"{value:g}" if 1e-3 <= value < 1e4 else rf"$10^{{{round(np.log10(value))}}}$" if value > 0 else ""
 
 
-def from_zero(ax: Axes, headroom: float = 1.08) -> None:
+def from_zero(ax: Axes) -> None:
     """A linear y axis that starts at zero."""
     top = ax.get_ylim()[1]
     if top > 0:
-        ax.set_ylim(0.0, headroom * top)
+        ax.set_ylim(0.0, 1.08 * top)
 
 
 def faded(color: str, strength: float) -> tuple[float, float, float]:
@@ -180,11 +188,7 @@ def failures_told(tell: Callable[[str], object]) -> Iterator[None]:
 
 @contextmanager
 def attempt(name: str) -> Iterator[None]:
-    """Draws in the own look; a failure is told in one sentence, and what comes after goes on.
-
-    Args:
-        name: What is drawn.
-    """
+    """Draws in the own look; a failure is told in one sentence, and what comes after goes on."""
     try:
         with own_look():
             yield

@@ -8,7 +8,7 @@ from typing import NamedTuple
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullLocator
 
-from apcc_torch.report.style import CONTROLLERS, INK, LEGEND, WIDEST, dress, from_zero, new_figure
+from apcc_torch.report.style import CONTROLLERS, INK, WIDEST, dress, figure_legend, from_zero, new_figure
 
 Pair = tuple[float, float]
 
@@ -49,8 +49,7 @@ def trade_off_figure(runs: Mapping[str, TradeOff]) -> Figure:
             ax.xaxis.set_major_formatter("{x:g}")
             ax.xaxis.set_minor_locator(NullLocator())
         from_zero(ax)
-    handles, labels = axes[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=2, frameon=False, fontsize=LEGEND, labelcolor=INK)
+    figure_legend(figure, axes[0], loc="outside lower center", ncols=2)
     return figure
 
 

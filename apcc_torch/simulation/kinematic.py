@@ -49,16 +49,13 @@ class KinematicLog(NamedTuple):
     status: Tensor
 
 
-def start_configuration(
-    backbone: KinematicModel, L0: Tensor, x: Tensor, q: Tensor | None = None, iterations: int = 60
-) -> Tensor:
-    """A configuration (..., n) whose tip is at x, by damped Newton steps from q (default: the straight arm).
+def start_configuration(backbone: KinematicModel, L0: Tensor, x: Tensor, iterations: int = 60) -> Tensor:
+    """A configuration (..., n) whose tip is at x, by damped Newton steps from the straight arm.
 
     Args:
         backbone: The arm.
         L0: (..., n_b) m.
         x: (..., 3) m.
-        q: (..., n) first guess.
         iterations: Steps.
 
     Raises:
@@ -71,7 +68,7 @@ def start_configuration(
         tensor([0.1000, 0.0500, 0.4000], dtype=torch.float64)
     """
     batch = broadcast(L0.shape[:-1], x.shape[:-1])
-    q = torch.zeros(*batch, backbone.n, dtype=L0.dtype, device=L0.device) if q is None else q
+    q = torch.zeros(*batch, backbone.n, dtype=L0.dtype, device=L0.device)
     for _ in range(iterations):
         tip, J = backbone.tip_and_jacobian(q, L0)
         step = (damped_pseudo_inverse(J, 1e-4) @ (x - tip).unsqueeze(-1)).squeeze(-1)

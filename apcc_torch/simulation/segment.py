@@ -24,9 +24,6 @@ class Forgotten:
     The gradient goes to the state, to what each stretch is given, and to every tensor that the first one uses, wherever
     it has that from. It cannot be differentiated once more.
 
-    Args:
-        stretch: What is run.
-
     Example:
         >>> gain = torch.tensor(3.0, requires_grad=True)
         >>> run = Forgotten(lambda now, push: (gain * now[0].sin() + push,))

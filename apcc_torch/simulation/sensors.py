@@ -220,15 +220,11 @@ class PoseSensors(Part):
         Returns:
             Next state, measured poses (..., k, 4, 4), and mask (..., k) bool, False where a sensor dropped out.
         """
-        return self.read(state, T, self.draw(T, generator))
-
-    def read(self, state: SensorState, T: Tensor, draws: Draws) -> tuple[SensorState, Tensor, Tensor]:
-        """`forward` with its chance drawn before, by `draw`."""
-        later, seen = self.sense(state, T, None, draws)
+        later, seen = self.sense(state, T, None, self.draw(T, generator))
         return later, seen.T, seen.mask
 
     def sense(self, state: SensorState, T: Tensor, curvature: Tensor | None, draws: Draws) -> tuple[SensorState, Seen]:
-        """`read` of poses and of curvature (..., n_c, 2), 1/m; None where nothing measures that."""
+        """`forward` with its chance drawn before, and of curvature (..., n_c, 2), 1/m, where that is measured."""
         check_tensor("T", T, (None, 4, 4))
         queue = torch.cat((T.unsqueeze(-4), state.queue[..., :-1, :, :, :]), dim=-4)
         seen = true = queue[..., -1, :, :, :]

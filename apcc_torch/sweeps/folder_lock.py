@@ -26,9 +26,6 @@ NAME = ".lock"
 class FolderLock:
     """Holds a folder, which is made, until it is let go of.
 
-    Args:
-        folder: The folder.
-
     Raises:
         ConfigError: Another process holds it.
         OSError: It cannot be made or written to.

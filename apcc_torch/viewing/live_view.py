@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from apcc_torch.errors import ConfigError
 from apcc_torch.hardware.control import Start
-from apcc_torch.hardware.records import Event, Tick
+from apcc_torch.hardware.records import Event, Observer, Tick
 from apcc_torch.plain_text import for_terminal, plain_logger
 from apcc_torch.processes import deaf_children
 from apcc_torch.viewing.live_page import live_page
@@ -37,7 +37,7 @@ PAGE = Showing("viser", EXTRA, live_page)
 """On a page in the browser."""
 
 
-class LiveView:
+class LiveView(Observer):
     """Observes a run, and shows it as long as `with` lasts.
 
     Args:
@@ -79,10 +79,6 @@ class LiveView:
     def on_event(self, event: Event) -> None:
         """Keeps the event for the next copy."""
         self.event = event
-
-    def failure(self) -> str | None:
-        """A view that cannot be drawn is no reason to stop."""
-        return None
 
     def __enter__(self) -> LiveView:
         self.address = self.address.free()

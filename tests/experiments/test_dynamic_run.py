@@ -12,6 +12,7 @@ import torch
 
 from apcc_torch.errors import ApccError
 from apcc_torch.experiments import dynamic
+from apcc_torch.experiments.dynamic_metrics import dynamic_metrics, estimate_metrics
 from apcc_torch.simulation.dynamic import DynamicLog
 from composed import changed
 
@@ -98,7 +99,7 @@ def test_settling_time_is_that_of_the_last_crossing() -> None:
         mapping_error=flat,
         diverged=torch.tensor([0, 4, 0]).expand(5, 3),
     )
-    metrics = dynamic.dynamic_metrics(curves)
+    metrics = dynamic_metrics(curves)
     assert metrics["settling_mean_s"] == pytest.approx((3 + 4 + 0) / 3)
     assert metrics["settled_share"] == pytest.approx(2 / 3)
     assert metrics["end_effector_error_end_mm"] == pytest.approx(20.0)
@@ -142,5 +143,6 @@ def test_a_law_of_the_dynamics_is_logged_measured_and_drawn(tmp_path: Path) -> N
     with np.load(tmp_path / "trajectory.npz") as data:
         again = dynamic.loaded(config, {name: torch.from_numpy(data[name]) for name in data})
         older = {name: torch.from_numpy(data[name]) for name in data if name != "theta_hat"}
-    assert dynamic.estimate_metrics(again)["payload_mass_error_end_max_g"] == pytest.approx(off.max())
-    assert dynamic.estimate_metrics(dynamic.loaded(config, older)) == {}
+    assert estimate_metrics(again.log, again.arms.theta)["payload_mass_error_end_max_g"] == pytest.approx(off.max())
+    before = dynamic.loaded(config, older)
+    assert estimate_metrics(before.log, before.arms.theta) == {}

@@ -12,7 +12,8 @@ import torch
 
 from apcc_torch.control.pid import TendonReference
 from apcc_torch.estimation.feedback import FeedbackStatus
-from apcc_torch.exporting.functions import Beginning, TendonInput, TendonMemory, blank, kinematic
+from apcc_torch.exporting.functions import blank, kinematic
+from apcc_torch.exporting.tuples import Beginning, TendonInput, TendonMemory
 from apcc_torch.model.abscissae import decouple
 from apcc_torch.native.structure import flattened, rebuilt
 from exported_library import Built

@@ -25,10 +25,11 @@ from apcc_torch.estimation.sensor_gate import Reason, SensorGate, gate_recording
 from apcc_torch.estimation.state_feedback import StateFeedback
 from apcc_torch.model.abscissae import decouple
 from apcc_torch.model.backbone import PCCBackbone
+from apcc_torch.recordings.held_out import held_out_error
 from apcc_torch.recordings.recorded_arm import TRUNK_BASE, gate_frames, recorded_arm
 from apcc_torch.recordings.recording import Recording
 from apcc_torch.recordings.recording_file import load_recording
-from apcc_torch.recordings.replay import held_out_error, replay
+from apcc_torch.recordings.replay import replay
 from apcc_torch.recordings.replay_log import read_replay, replay_metrics, sensor_errors, write_replay
 from apcc_torch.recordings.rest_pose import poses_of
 from arms import HANGING_BASE

@@ -22,9 +22,6 @@ class DynamixelActuator(ServoActuator):
 
     In mode velocity the motors are told velocities, and the way to the goals is this driver's, see `VelocityLoop`: each
     `send` needs a `read` before it, and a hold lives by the readings that follow it. Where one fails the motors stand.
-
-    Args:
-        settings: Port, motors, spools, limits.
     """
 
     settings_type = DynamixelSettings

@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from apcc_torch.errors import CommunicationError, DeviceFaultError
-from apcc_torch.hardware.servos.bus import SUCCESS, ServoBus
+from apcc_torch.hardware.servos.bus import ServoBus
 from apcc_torch.hardware.servos.port import BusPort
-from apcc_torch.hardware.servos.register import Register
 
 try:
     from dynamixel_sdk import COMM_RX_TIMEOUT, Protocol2PacketHandler
@@ -50,11 +49,11 @@ class DynamixelBus(ServoBus):
         names: What messages call each id.
     """
 
+    sender, data = ID, DATA
     bauds = (9_600, 57_600, 115_200, 1_000_000, 2_000_000, 3_000_000, 4_000_000, 4_500_000)
 
     def __init__(self, port: BusPort, names: Mapping[int, str]) -> None:
-        super().__init__(port, names)
-        self.packets = PacketHandler()
+        super().__init__(port, names, PacketHandler(), COMM_RX_TIMEOUT, first=(port,), last=(False,))
 
     def _check_error(self, motor: int, error: int) -> None:
         code = error & ~ALERT_BIT
@@ -63,30 +62,10 @@ class DynamixelBus(ServoBus):
         if code:
             raise DeviceFaultError(f"{self.name(motor)} {ERRORS.get(code, f'answers with error {code}')}")
 
-    def _timed_out(self, result: int) -> bool:
-        return bool(result == COMM_RX_TIMEOUT)
-
-    def _receive(self) -> tuple[Sequence[int], int]:
-        packet, result = self.packets.rxPacket(self.port, False)
-        return packet, result
-
-    def _sender(self, packet: Sequence[int]) -> int:
-        return packet[ID]
-
     def _data(self, motor: int, packet: Sequence[int], length: int) -> bytes:
         self._check_error(motor, packet[ERROR])
         sent = packet[LENGTH] + 256 * packet[LENGTH + 1] - LENGTH_WITHOUT_DATA
-        if sent != length:
-            raise CommunicationError(f"{self.name(motor)}: reply with {sent} bytes of data instead of {length}")
-        return bytes(packet[DATA : DATA + length])
-
-    def _ask(self, motors: Sequence[int], address: int, length: int) -> None:
-        if len(motors) == 1:
-            self._check(motors[0], self.packets.readTx(self.port, motors[0], address, length))
-            return
-        result = self.packets.syncReadTx(self.port, address, length, list(motors), len(motors), False)
-        if result != SUCCESS:
-            raise CommunicationError(f"sync read: {self.packets.getTxRxResult(result)}")
+        return self._cut(motor, packet, sent, length)
 
     def ping(self, motor: int) -> None:
         """See `ServoBus.ping`."""
@@ -94,18 +73,3 @@ class DynamixelBus(ServoBus):
         _, result, error = self.packets.ping(self.port, motor)
         self._check(motor, result)
         self._check_error(motor, error)
-
-    def write_bytes(self, motor: int, address: int, data: bytes) -> None:
-        """See `ServoBus.write_bytes`."""
-        self._begin()
-        result, error = self.packets.writeTxRx(self.port, motor, address, len(data), list(data))
-        self._check(motor, result)
-        self._check_error(motor, error)
-
-    def sync_write(self, register: Register, values: Mapping[int, int]) -> None:
-        """See `ServoBus.sync_write`."""
-        self._begin()
-        parameters = [byte for motor, value in values.items() for byte in (motor, *register.encode(value))]
-        result = self.packets.syncWriteTxOnly(self.port, register.address, register.length, parameters, len(parameters))
-        if result != SUCCESS:
-            raise CommunicationError(f"sync write of {register.name}: {self.packets.getTxRxResult(result)}")

@@ -11,12 +11,7 @@ from apcc_torch.hardware.servos.spool import TICK
 
 
 class Gripper:
-    """Opens and closes; armed, read and let go together with the tendons.
-
-    Args:
-        motors: All motors of the bus.
-        settings: Its own.
-    """
+    """Opens and closes; armed, read and let go together with the tendons."""
 
     def __init__(self, motors: Motors, settings: GripperSettings) -> None:
         self.motors = motors

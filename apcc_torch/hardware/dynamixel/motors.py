@@ -9,50 +9,21 @@ from typing import Any
 import numpy as np
 
 from apcc_torch.errors import CommunicationError, DeviceFaultError, HardwareError
+from apcc_torch.hardware.dynamixel import registers
 from apcc_torch.hardware.dynamixel.bus import DynamixelBus
 from apcc_torch.hardware.dynamixel.models import Model
-from apcc_torch.hardware.dynamixel.registers import (
-    BUS_WATCHDOG,
-    DRIVE_MODE,
-    FIRMWARE_VERSION,
-    GOAL_POSITION,
-    GOAL_PWM,
-    GOAL_VELOCITY,
-    HARDWARE_ERROR,
-    HOMING_OFFSET,
-    INDIRECT_ADDRESS,
-    MAX_POSITION,
-    MAX_PWM,
-    MODEL_NUMBER,
-    OPERATING_MODE,
-    PRESENT_INPUT_VOLTAGE,
-    PRESENT_POSITION,
-    SECONDARY_ID,
-    TORQUE_ENABLE,
-    VELOCITY_UNIT,
-    VOLTAGE_UNIT,
-    hardware_errors,
-)
 from apcc_torch.hardware.dynamixel.settings import VELOCITY, DynamixelSettings
-from apcc_torch.hardware.dynamixel.status import (
-    STATUS_LENGTH,
-    MotorStatus,
-    indirect_addresses,
-)
+from apcc_torch.hardware.dynamixel.status import STATUS_LENGTH, MotorStatus, indirect_addresses
 from apcc_torch.hardware.dynamixel.velocity_loop import VelocityLoop
 from apcc_torch.hardware.dynamixel.wanted import Wanted, of_armed, of_connected
-from apcc_torch.hardware.dynamixel.zero_mark import check_mark, erase_mark, leave_mark
+from apcc_torch.hardware.dynamixel.zero_mark import DIGITS, MARKS, address, encoded
 from apcc_torch.hardware.interfaces import Array
-from apcc_torch.hardware.servos.bus import raise_all
 from apcc_torch.hardware.servos.motors import ServoMotors, each
 from apcc_torch.hardware.servos.register import Register
 from apcc_torch.hardware.servos.settings import MAX_ID
-from apcc_torch.hardware.servos.spool import TICKS_PER_TURN
 from apcc_torch.plain_text import plain_logger
 
 log = plain_logger(__name__)
-
-LOST_TURN = TICKS_PER_TURN // 4
 
 
 class Motors(ServoMotors):
@@ -63,8 +34,9 @@ class Motors(ServoMotors):
         settings: What they must be and are set to.
     """
 
-    torque = TORQUE_ENABLE
-    farthest = MAX_POSITION
+    torque = registers.TORQUE_ENABLE
+    farthest = registers.MAX_POSITION
+    marks = MARKS
 
     def __init__(self, bus: DynamixelBus, settings: DynamixelSettings) -> None:
         super().__init__(bus, settings.every_id, settings.release_torqued)
@@ -74,11 +46,8 @@ class Motors(ServoMotors):
         self.currents = settings.currents
         self.modes = {motor: settings.mode_of(motor) for motor in self.ids}
         self.fastest = np.array([model.fastest for model in settings.tendon_models])
-        given = settings.torque_constant
-        constants = [model.torque_constant for model in settings.tendon_models]
-        self.torque_constants = dict(
-            zip(settings.ids, constants if given is None else settings.each("torque_constant"), strict=True)
-        )
+        constants = (model.torque_constant for model in settings.tendon_models)
+        self.torque_constants = settings.told_or("torque_constant", constants)
         moved = [motor for motor in self.ids if self.modes[motor] == VELOCITY]
         self.loop = VelocityLoop(moved, settings.velocity_gain, settings.profile_velocity)
 
@@ -95,21 +64,21 @@ class Motors(ServoMotors):
             self.bus.ping(motor)
             self._check_one(motor, self.models[motor])
         self.refuse_torqued()
-        self.refuse_offset(HOMING_OFFSET, "DYNAMIXEL Wizard")
+        self.refuse_offset(registers.HOMING_OFFSET, "DYNAMIXEL Wizard")
         blind = [self.bus.name(motor) for motor in self.settings.ids if self.models[motor].current_unit is None]
         if blind:
             log.warning("%s tells no current: the guards of tensions do not see its tendon", ", ".join(blind))
 
     def _check_one(self, motor: int, model: Model) -> None:
         name = self.bus.name(motor)
-        if (found := self.bus.read(motor, MODEL_NUMBER)) != model.number:
+        if (found := self.bus.read(motor, registers.MODEL_NUMBER)) != model.number:
             raise HardwareError(f"{name} is model {found}, not {model.number}")
         given = self.settings.minimum_firmware
         least = model.firmware if given is None else given
-        if (firmware := self.bus.read(motor, FIRMWARE_VERSION)) < least:
+        if (firmware := self.bus.read(motor, registers.FIRMWARE_VERSION)) < least:
             raise HardwareError(f"{name} has firmware {firmware}, older than {least}")
-        if errors := self.bus.read(motor, HARDWARE_ERROR):
-            raise DeviceFaultError(f"{name} reports {hardware_errors(errors)}: turn its power off and on")
+        if errors := self.bus.read(motor, registers.HARDWARE_ERROR):
+            raise DeviceFaultError(f"{name} reports {registers.hardware_errors(errors)}: turn its power off and on")
 
     def _armed(self, motor: int) -> Wanted:
         return of_armed(self.settings, motor, self._pwm(motor))
@@ -117,8 +86,8 @@ class Motors(ServoMotors):
     def _pwm(self, motor: int) -> int:
         """What a motor may take of the supply's voltage, as it is now."""
         if not self.settings.limited_by_voltage(motor):
-            return MAX_PWM
-        voltage = VOLTAGE_UNIT * self.bus.read(motor, PRESENT_INPUT_VOLTAGE)
+            return registers.MAX_PWM
+        voltage = registers.VOLTAGE_UNIT * self.bus.read(motor, registers.PRESENT_INPUT_VOLTAGE)
         if not voltage > 0:
             raise DeviceFaultError(f"{self.bus.name(motor)} tells no supply voltage, which its current limit needs")
         return self.models[motor].stalled_pwm(self.currents[motor], voltage)
@@ -136,48 +105,43 @@ class Motors(ServoMotors):
             found = self.bus.sync_read(ids, register.address, register.length)
             for motor in ids:
                 value = register.decode(found[motor])
-                if register is SECONDARY_ID and value > MAX_ID:  # all of those are none
+                if register is registers.SECONDARY_ID and value > MAX_ID:  # all of those are none
                     continue
                 # A motor forgets its turns with another mode, or counted them the other way.
                 if self.set(motor, register, value, needed[motor][register]) and register in (
-                    OPERATING_MODE,
-                    DRIVE_MODE,
+                    registers.OPERATING_MODE,
+                    registers.DRIVE_MODE,
                 ):
                     self.erase_mark(motor)
         for motor in self.ids:
-            self.bus.write(motor, BUS_WATCHDOG, 0)
-            self.bus.write_bytes(motor, INDIRECT_ADDRESS, indirect_addresses())
+            self.bus.write(motor, registers.BUS_WATCHDOG, 0)
+            self.bus.write_bytes(motor, registers.INDIRECT_ADDRESS, indirect_addresses())
 
-    def leave_mark(self) -> int:
-        """See `ServoMotors.leave_mark`."""
-        return leave_mark(self.bus, self.models)
+    def _mark(self, motor: int, mark: int | None) -> None:
+        model = self.models[motor]
+        self.bus.write_bytes(motor, address(model), encoded(model, mark))
 
-    def check_mark(self, mark: int) -> None:
-        """See `ServoMotors.check_mark`."""
-        check_mark(self.bus, self.models, mark)
-
-    def erase_mark(self, motor: int) -> None:
-        """See `ServoMotors.erase_mark`."""
-        erase_mark(self.bus, motor, self.models[motor])
+    def _bears(self, motor: int, mark: int) -> bool:
+        model = self.models[motor]
+        return self.bus.read_bytes(motor, address(model), 2 * DIGITS) == encoded(model, mark)
 
     def reachable(self) -> tuple[dict[int, MotorStatus], dict[int, HardwareError]]:
         """See `ServoMotors.reachable`: one sync read of those whose tables are alike."""
         blocks: dict[int, bytes] = {}
         wrong: dict[int, HardwareError] = {}
-        for address in dict.fromkeys(model.indirect_data for model in self.models.values()):
-            ids = [motor for motor in self.ids if self.models[motor].indirect_data == address]
-            answers, missing = self.bus.sync_gather(ids, address, STATUS_LENGTH)
+        for begin in dict.fromkeys(model.indirect_data for model in self.models.values()):
+            ids = [motor for motor in self.ids if self.models[motor].indirect_data == begin]
+            answers, missing = self.bus.sync_gather(ids, begin, STATUS_LENGTH)
             blocks |= answers
             wrong |= missing
         status = {motor: MotorStatus.decode(blocks[motor]) for motor in self.ids if motor in blocks}
         self.loop.see({motor: state.position for motor, state in status.items()})
         return status, wrong
 
-    def status(self) -> dict[int, MotorStatus]:
+    def status(self) -> Mapping[int, MotorStatus]:
         """See `ServoMotors.status`. Motors that are told velocities stand still after a reading that failed."""
         try:
-            status, wrong = self.reachable()
-            raise_all(wrong.values())
+            status = super().status()
         except HardwareError:
             if self.armed and self.loop.motors:
                 self.loop.see({})
@@ -193,47 +157,32 @@ class Motors(ServoMotors):
 
     def speeds(self, status: Mapping[int, Any], ids: tuple[int, ...]) -> Array:
         """See `ServoMotors.speeds`."""
-        return VELOCITY_UNIT * each(status, ids, lambda state: state.velocity)
+        return registers.VELOCITY_UNIT * each(status, ids, lambda state: state.velocity)
 
     def torques(self, status: Mapping[int, Any], ids: tuple[int, ...]) -> Array:
         """See `ServoMotors.torques`: the current times the torque constant."""
         units = [self.torque_constants[motor] * (self.models[motor].current_unit or 0.0) for motor in ids]
         return np.array(units) * each(status, ids, lambda state: state.current)
 
-    def arm(self, goals: Mapping[int, int]) -> None:
-        """See `ServoMotors.arm`; the bus watchdog runs from then on.
-
-        Raises:
-            CommunicationError: A motor did not answer; all are let go.
-            DeviceFaultError: A motor refuses, or does not hold what was written; all are let go.
-        """
-        try:
-            wanted = {}
-            for motor in self.ids:
-                # A tripped watchdog refuses goals until it is cleared.
-                self.bus.write(motor, BUS_WATCHDOG, 0)
-                wanted[motor] = self._armed(motor)
-                goal = [] if motor in self.loop.motors else [(GOAL_POSITION, goals[motor])]
-                for register, value in (*wanted[motor], *goal):
-                    self.bus.write(motor, register, value)
-            before = self._check_goals(goals, wanted)
-            for motor in self.ids:
-                self.bus.write(motor, BUS_WATCHDOG, self.settings.watchdog_ticks)
-            for motor in self.ids:
-                self.bus.write(motor, TORQUE_ENABLE, 1)
-            self.armed = True
-            self.write_goals(goals)
-            status = self.status()
-            self.check_status(status)
-            self.check_still(before, status, LOST_TURN)
-        except BaseException:
-            self.torque_off()
-            raise
+    def _prepare(self, goals: Mapping[int, int]) -> dict[int, int]:
+        """The bus watchdog runs from then on."""
+        wanted = {}
+        for motor in self.ids:
+            # A tripped watchdog refuses goals until it is cleared.
+            self.bus.write(motor, registers.BUS_WATCHDOG, 0)
+            wanted[motor] = self._armed(motor)
+            goal = [] if motor in self.loop.motors else [(registers.GOAL_POSITION, goals[motor])]
+            for register, value in (*wanted[motor], *goal):
+                self.bus.write(motor, register, value)
+        before = self._check_goals(goals, wanted)
+        for motor in self.ids:
+            self.bus.write(motor, registers.BUS_WATCHDOG, self.settings.watchdog_ticks)
+        return before
 
     def _check_goals(self, goals: Mapping[int, int], wanted: Mapping[int, Wanted]) -> dict[int, int]:
         """The positions, if every limit is as written and no motor would turn further than to its goal."""
-        first = GOAL_PWM.address
-        length = PRESENT_POSITION.address + PRESENT_POSITION.length - first
+        first = registers.GOAL_PWM.address
+        length = registers.PRESENT_POSITION.address + registers.PRESENT_POSITION.length - first
         positions = {}
         for motor, data in self.bus.sync_read(self.ids, first, length).items():
 
@@ -243,9 +192,9 @@ class Motors(ServoMotors):
             for register, needed in wanted[motor]:
                 if (found := held(register)) != needed:
                     raise DeviceFaultError(self._wrong(motor, register, found, needed))
-            positions[motor] = held(PRESENT_POSITION)
+            positions[motor] = held(registers.PRESENT_POSITION)
             if motor not in self.loop.motors:
-                self.check_goal(motor, held(GOAL_POSITION), positions[motor], goals[motor])
+                self.check_goal(motor, held(registers.GOAL_POSITION), positions[motor], goals[motor])
         return positions
 
     def write_goals(self, goals: Mapping[int, int], hold: bool = False) -> None:
@@ -253,7 +202,7 @@ class Motors(ServoMotors):
         self.loop.holding = hold
         direct = {motor: goal for motor, goal in goals.items() if motor not in self.loop.motors}
         if direct:
-            self.bus.sync_write(GOAL_POSITION, direct)
+            self.bus.sync_write(registers.GOAL_POSITION, direct)
         if self.loop.motors:
             if hold:  # motors that are left out stand where they are
                 self.loop.goals.clear()
@@ -261,7 +210,7 @@ class Motors(ServoMotors):
             self._write_velocities()
 
     def _write_velocities(self) -> None:
-        self.bus.sync_write(GOAL_VELOCITY, self.loop.take())
+        self.bus.sync_write(registers.GOAL_VELOCITY, self.loop.take())
 
     def torque_off(self) -> tuple[int, ...]:
         """See `ServoMotors.torque_off`."""

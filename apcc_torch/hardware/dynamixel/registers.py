@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from math import pi
 
-from apcc_torch.hardware.servos.register import Register
+from apcc_torch.hardware.servos.register import Register, named_bits
 
 # Kept without power; written only while torque is off.
 MODEL_NUMBER = Register("model number", 0, 2)
@@ -67,5 +67,4 @@ HARDWARE_ERROR_BITS = {0: "input voltage", 2: "overheating", 3: "motor encoder",
 
 def hardware_errors(status: int) -> str:
     """The names of the bits set in a hardware error status, "" if none is."""
-    bits = (bit for bit in range(8) if status >> bit & 1)
-    return ", ".join(HARDWARE_ERROR_BITS.get(bit, f"bit {bit}") for bit in bits)
+    return named_bits(status, HARDWARE_ERROR_BITS)

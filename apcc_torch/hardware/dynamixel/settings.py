@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import ceil, pi
 
-from apcc_torch.errors import ConfigError, ValueRangeError
+from apcc_torch.errors import ValueRangeError
 from apcc_torch.hardware.dynamixel.models import Model, model_of
 from apcc_torch.hardware.dynamixel.registers import (
     ACCELERATION_UNIT,
@@ -15,7 +15,7 @@ from apcc_torch.hardware.dynamixel.registers import (
     VELOCITY_UNIT,
     WATCHDOG_UNIT,
 )
-from apcc_torch.hardware.servos.settings import MAX_ID, ServoSettings
+from apcc_torch.hardware.servos.settings import MAX_ID, ServoSettings, check_gains
 from apcc_torch.settings import OURS, PAPER, Settings, setting
 from apcc_torch.spread import Numbers
 
@@ -120,9 +120,7 @@ class DynamixelSettings(ServoSettings):
     def check(self) -> None:
         """Raises ConfigError or ValueRangeError for a tendon without meaning, or a limit that its model has not."""
         super().check()
-        gains = self.position_gains
-        if gains is not None and (len(gains) != 3 or any(not isinstance(gain, int) for gain in gains)):
-            raise ConfigError(f"position_gains must be three whole numbers, P, I and D, got {gains}")
+        check_gains(self.position_gains)
         for model, current in zip(self.tendon_models, self.each("current_limit"), strict=True):
             _check_current(model, current)
         for model in self.models.values():

@@ -8,26 +8,16 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from apcc_torch.hardware.dynamixel.registers import (
-    BUS_WATCHDOG,
-    HARDWARE_ERROR,
-    PRESENT_CURRENT,
-    PRESENT_POSITION,
-    PRESENT_VELOCITY,
-    STATUS_RETURN_LEVEL,
-    TORQUE_ENABLE,
-    WATCHDOG_TRIPPED,
-    hardware_errors,
-)
+from apcc_torch.hardware.dynamixel import registers
 
 STATUS_BLOCK = (
-    PRESENT_CURRENT,
-    PRESENT_VELOCITY,
-    PRESENT_POSITION,
-    TORQUE_ENABLE,
-    HARDWARE_ERROR,
-    BUS_WATCHDOG,
-    STATUS_RETURN_LEVEL,
+    registers.PRESENT_CURRENT,
+    registers.PRESENT_VELOCITY,
+    registers.PRESENT_POSITION,
+    registers.TORQUE_ENABLE,
+    registers.HARDWARE_ERROR,
+    registers.BUS_WATCHDOG,
+    registers.STATUS_RETURN_LEVEL,
 )
 STATUS_LENGTH = sum(register.length for register in STATUS_BLOCK)
 ANSWERS_EVERYTHING = 2  # the status return level that the driver needs, and a motor's own at its start
@@ -75,8 +65,8 @@ class MotorStatus(NamedTuple):
             return "has restarted and lost its zero: connect and calibrate again"
         if self.hardware_error:
             torque = "" if self.torque or not armed else ", and has let go"
-            return f"reports {hardware_errors(self.hardware_error)}{torque}"
-        if armed and self.watchdog == WATCHDOG_TRIPPED:
+            return f"reports {registers.hardware_errors(self.hardware_error)}{torque}"
+        if armed and self.watchdog == registers.WATCHDOG_TRIPPED:
             return "has stopped: its bus watchdog tripped, and it refuses goals until it is armed again"
         if armed and not self.torque:
             return "has lost its torque"

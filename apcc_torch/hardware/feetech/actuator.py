@@ -15,9 +15,6 @@ class FeetechActuator(ServoActuator):
 
     STS servos have no watchdog: where the program dies they go to their last goal, which is within the tendons' limits,
     and hold it with torque.
-
-    Args:
-        settings: Port, motors, spools, limits.
     """
 
     settings_type = FeetechSettings

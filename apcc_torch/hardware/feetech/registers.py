@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from math import pi
 
-from apcc_torch.hardware.servos.register import Register
+from apcc_torch.hardware.servos.register import Register, named_bits
 from apcc_torch.hardware.servos.spool import TICK
 
 # Kept without power, where the lock is open as they are written.
@@ -61,5 +61,4 @@ PROTECTIONS = 0b10_1100  # let go on overload (bit 5), overcurrent (3) and overh
 
 def status_names(status: int) -> str:
     """The names of the bits set in a status, "" if none is."""
-    bits = (bit for bit in range(8) if status >> bit & 1)
-    return ", ".join(STATUS_BITS.get(bit, f"bit {bit}") for bit in bits)
+    return named_bits(status, STATUS_BITS)

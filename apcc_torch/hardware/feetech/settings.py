@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from apcc_torch.errors import ConfigError
 from apcc_torch.hardware.feetech.models import Model, model_of
 from apcc_torch.hardware.feetech.registers import (
     ACCELERATION_UNIT,
@@ -13,7 +12,7 @@ from apcc_torch.hardware.feetech.registers import (
     SPEED_UNITS,
     TORQUE_UNIT,
 )
-from apcc_torch.hardware.servos.settings import ServoSettings
+from apcc_torch.hardware.servos.settings import ServoSettings, check_gains
 from apcc_torch.settings import OURS, setting
 from apcc_torch.spread import Numbers
 
@@ -62,9 +61,7 @@ class FeetechSettings(ServoSettings):
     def check(self) -> None:
         """Raises ConfigError or ValueRangeError for a tendon without meaning, or a model that is not known."""
         super().check()
-        gains = self.position_gains
-        if gains is not None and (len(gains) != 3 or any(not isinstance(gain, int) for gain in gains)):
-            raise ConfigError(f"position_gains must be three whole numbers, P, I and D, got {gains}")
+        check_gains(self.position_gains)
         self.each("torque_limit")
         for number in self.each("model_number"):
             model_of(number)

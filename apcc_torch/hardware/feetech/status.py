@@ -5,37 +5,23 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from apcc_torch.errors import CommunicationError
-from apcc_torch.hardware.feetech.registers import (
-    ACCELERATION,
-    GOAL_POSITION,
-    PRESENT_CURRENT,
-    PRESENT_LOAD,
-    PRESENT_POSITION,
-    PRESENT_SPEED,
-    PWM_SPEED,
-    PWM_SPEED_AT_START,
-    RUNNING_SPEED,
-    STATUS,
-    TORQUE_LIMIT,
-    TORQUE_SWITCH,
-    status_names,
-)
+from apcc_torch.hardware.feetech import registers
 
 STATUS_BLOCK = (
-    TORQUE_SWITCH,
-    ACCELERATION,
-    GOAL_POSITION,
-    PWM_SPEED,
-    RUNNING_SPEED,
-    TORQUE_LIMIT,
-    PRESENT_POSITION,
-    PRESENT_SPEED,
-    PRESENT_LOAD,
-    STATUS,
-    PRESENT_CURRENT,
+    registers.TORQUE_SWITCH,
+    registers.ACCELERATION,
+    registers.GOAL_POSITION,
+    registers.PWM_SPEED,
+    registers.RUNNING_SPEED,
+    registers.TORQUE_LIMIT,
+    registers.PRESENT_POSITION,
+    registers.PRESENT_SPEED,
+    registers.PRESENT_LOAD,
+    registers.STATUS,
+    registers.PRESENT_CURRENT,
 )
-STATUS_ADDRESS = TORQUE_SWITCH.address
-STATUS_LENGTH = PRESENT_CURRENT.address + PRESENT_CURRENT.length - STATUS_ADDRESS
+STATUS_ADDRESS = registers.TORQUE_SWITCH.address
+STATUS_LENGTH = registers.PRESENT_CURRENT.address + registers.PRESENT_CURRENT.length - STATUS_ADDRESS
 
 
 class StsStatus(NamedTuple):
@@ -67,7 +53,7 @@ class StsStatus(NamedTuple):
     @property
     def restarted(self) -> bool:
         """Whether the servo has lost what connecting wrote, and with it its count of turns."""
-        return self.mark == PWM_SPEED_AT_START
+        return self.mark == registers.PWM_SPEED_AT_START
 
     def fault(self, armed: bool, torque_limit: int) -> str:
         """What is wrong, in words, "" if nothing is.
@@ -80,7 +66,7 @@ class StsStatus(NamedTuple):
             return "has restarted and lost its zero: connect and calibrate again"
         if self.errors:
             torque = "" if self.torque or not armed else ", and has let go"
-            return f"reports {status_names(self.errors)}{torque}"
+            return f"reports {registers.status_names(self.errors)}{torque}"
         if armed and not self.torque:
             return "has lost its torque"
         if armed and self.torque_limit != torque_limit:

@@ -71,12 +71,7 @@ class _Track:
 
 
 class BodyGate:
-    """Judges the bodies of each frame; the order of bodies is fixed.
-
-    Args:
-        bodies: Number of bodies.
-        settings: The limits.
-    """
+    """Judges the bodies of each frame; the order of bodies is fixed."""
 
     def __init__(self, bodies: int, settings: MocapSettings) -> None:
         self._settings = settings

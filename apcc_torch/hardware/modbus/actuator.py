@@ -28,9 +28,6 @@ class ModbusRegulators(PressureActuator):
     """The regulators of an arm's chambers. Not for use from two threads at once.
 
     After `arm` the units' own watchdog runs, where they have one: without a request in `watchdog` seconds they vent.
-
-    Args:
-        settings: Server, registers, scales, limits.
     """
 
     settings_type = RegulatorSettings

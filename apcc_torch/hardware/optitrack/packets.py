@@ -41,7 +41,6 @@ FRAME = 7
 KEEPALIVE = 10
 
 KNOWN_VERSIONS = ((3, 0), (3, 1), (4, 0), (4, 1), (4, 2))
-MAX_DATAGRAM = 65535
 
 _HEADER = struct.Struct("<HH")  # message, bytes that follow
 _TICK_RATE = struct.Struct("<Q")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import selectors
 import socket
-import threading
 import time
 from collections import deque
 from collections.abc import Callable
@@ -12,14 +11,11 @@ from functools import partial
 
 from apcc_torch.errors import CommunicationError
 from apcc_torch.hardware.mocap.counts import Counts
-from apcc_torch.hardware.mocap.handling import foreign, guarded
-from apcc_torch.hardware.mocap.limited_log import LimitedLog
+from apcc_torch.hardware.mocap.listener import Listener
 from apcc_torch.hardware.qualisys import packets
 from apcc_torch.hardware.qualisys.settings import QualisysSettings
 from apcc_torch.plain_text import plain_logger
 
-_TEND = 0.05  # s between two calls of `tend` at most
-_BATCH = 64  # datagrams or segments taken from a socket before `tend` gets its turn
 _NEWEST = 8  # of those that are waiting, how many frames are looked at
 _PATIENCE = 0.5  # s that the server may take to accept a connection, or to take a command
 _SEGMENT = 65536
@@ -27,14 +23,14 @@ _SEGMENT = 65536
 log = plain_logger(__name__)
 
 
-class Link:
+class Link(Listener):
     """A TCP connection for commands, a UDP socket for frames, and one thread for both.
 
     Args:
         settings: Addresses and ports.
         counts: What came and what was dropped.
         take: Called in the thread with type, body and monotonic arrival, s, of each of the server's packets; may raise.
-        tend: Called in the thread with the monotonic time in s, some twenty times a second or more often.
+        tend: See `Listener`.
     """
 
     def __init__(
@@ -44,51 +40,19 @@ class Link:
         take: Callable[[int, bytes, float], None],
         tend: Callable[[float], None],
     ) -> None:
-        self._settings, self._counts, self._take, self._tend = settings, counts, take, tend
-        self._log = LimitedLog(log)
-        self._selector: selectors.BaseSelector | None = None
+        super().__init__(settings.server, settings.interface, counts, tend, log)
+        self._settings, self._take = settings, take
         self._commands: socket.socket | None = None
-        self._frames: socket.socket | None = None
         self._rest = b""  # of the stream, not yet a whole packet
-        self._wake: tuple[socket.socket, socket.socket] | None = None
-        self._thread: threading.Thread | None = None
-        self._stop = threading.Event()
 
-    def open(self) -> None:
-        """Opens the socket for frames and starts the thread, which connects by itself.
-
-        Raises:
-            CommunicationError: It cannot be opened.
-        """
-        frames = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        try:
-            frames.setblocking(False)
-            frames.bind((self._settings.interface, 0))
-        except OSError as error:
-            frames.close()
-            raise CommunicationError(
-                f"cannot listen on interface {self._settings.interface}: {error.strerror}"
-            ) from error
-        self._frames, self._wake = frames, socket.socketpair()
-        self._stop.clear()
-        self._thread = threading.Thread(target=self._run, args=(frames, self._wake[0]), name="qualisys", daemon=True)
-        self._thread.start()
+    def _listen(self) -> None:
+        """The socket for frames; the thread connects the one for commands by itself."""
+        self._udp_socket().bind((self._interface, 0))
 
     def close(self) -> None:
-        """Ends the thread and closes the sockets. Safe to call in any state."""
-        self._stop.set()
-        if self._thread is not None and self._wake is not None:
-            self._wake[1].send(b"\0")
-            self._thread.join()
-        for sock in (self._commands, self._frames, *(self._wake or ())):
-            if sock is not None:
-                sock.close()
-        self._commands, self._frames, self._wake, self._thread = None, None, None, None
-
-    @property
-    def running(self) -> bool:
-        """Whether the thread lives."""
-        return self._thread is not None and self._thread.is_alive()
+        """See `Listener.close`."""
+        super().close()
+        self.drop()
 
     @property
     def connected(self) -> bool:
@@ -98,7 +62,7 @@ class Link:
     @property
     def frames_port(self) -> int:
         """Where frames are to be sent."""
-        return 0 if self._frames is None else int(self._frames.getsockname()[1])
+        return self.addresses[0][1] if self._sockets else 0
 
     # From here on: called in the thread.
 
@@ -133,24 +97,8 @@ class Link:
         try:
             self._commands.sendall(packets.command(command))
         except OSError as error:
-            self._failed("send", f"cannot send to {self._settings.server}: {error}")
+            self._failed("send", f"cannot send to {self._server}: {error}")
             self.drop()
-
-    def _failed(self, kind: str, why: str) -> None:
-        self._counts.socket_errors += 1
-        self._log.warning(kind, "%s", why)
-
-    def _run(self, frames: socket.socket, woken: socket.socket) -> None:
-        with selectors.DefaultSelector() as selector:
-            self._selector = selector
-            selector.register(woken, selectors.EVENT_READ)
-            selector.register(frames, selectors.EVENT_READ, data=partial(self._empty, frames))
-            while not self._stop.is_set():
-                for key, _ in selector.select(_TEND):
-                    if key.data is not None and not self._stop.is_set():
-                        self._guarded(key.data)
-                self._guarded(partial(self._tend, time.monotonic()))
-        self._selector = None
 
     def _read(self) -> None:
         """Takes what the connection has brought."""
@@ -177,27 +125,14 @@ class Link:
             if k not in late:
                 self._guarded(partial(self._take, kind, body, arrival))
 
-    def _empty(self, frames: socket.socket) -> None:
+    def _empty(self, sock: socket.socket) -> None:
         """Takes the datagrams that have come, of many the newest: a thread that lags behind must not stay behind."""
         waiting: deque[tuple[bytes, float]] = deque(maxlen=_NEWEST)
-        for _ in range(_BATCH):
-            try:
-                data, sender = frames.recvfrom(_SEGMENT)
-            except BlockingIOError:
-                break
-            except OSError as error:
-                self._failed("receive", f"cannot receive: {error}")
-                self._stop.wait(_TEND)  # an error that stays must not spin
-                break
-            if foreign(sender[0], self._settings.server, self._counts, self._log):
-                continue
+        for datagram in self._received(sock):
             self._counts.skipped += len(waiting) == _NEWEST
-            waiting.append((data, time.monotonic()))
+            waiting.append(datagram)
         for data, arrival in waiting:
             self._guarded(partial(self._datagram, data, arrival))
 
     def _datagram(self, data: bytes, arrival: float) -> None:
         self._take(*packets.open_datagram(data), arrival)
-
-    def _guarded(self, call: Callable[[], None]) -> None:
-        guarded(call, self._counts, self._log)

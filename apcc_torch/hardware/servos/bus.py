@@ -24,17 +24,33 @@ class ServoBus(ABC):
     Args:
         port: The port, opened by `open`.
         names: What messages call each id.
+        packets: The SDK's packet handler.
+        timeout: The SDK's result where nothing came.
+        first: What every call of the handler begins with.
+        last: What its calls that receive, or ask many motors, end with.
 
     Attributes:
-        packets: The SDK's packet handler. bauds: Rates that motors of this protocol can be set to, bit/s.
+        bauds: Rates that motors of this protocol can be set to, bit/s.
+        sender, data: Places of the id and of the data in a status packet.
     """
 
-    packets: Any
     bauds: ClassVar[tuple[int, ...]]
+    sender: ClassVar[int]
+    data: ClassVar[int]
 
-    def __init__(self, port: BusPort, names: Mapping[int, str]) -> None:
+    def __init__(
+        self,
+        port: BusPort,
+        names: Mapping[int, str],
+        packets: Any,
+        timeout: int,
+        first: tuple[Any, ...] = (),
+        last: tuple[Any, ...] = (),
+    ) -> None:
         self.port = port
         self.names = names
+        self.packets = packets
+        self._timeout, self._first, self._last = timeout, first, last
 
     @property
     def is_open(self) -> bool:
@@ -64,42 +80,55 @@ class ServoBus(ABC):
         """Raises CommunicationError if the motor does not answer."""
 
     @abstractmethod
-    def _ask(self, motors: Sequence[int], address: int, length: int) -> None:
-        """Sends the request that makes each motor send `length` bytes of its table; raises CommunicationError."""
-
-    @abstractmethod
-    def _receive(self) -> tuple[Sequence[int], int]:
-        """The next packet, and the SDK's result."""
-
-    @abstractmethod
-    def _timed_out(self, result: int) -> bool:
-        """Whether a result is that nothing came."""
-
-    @abstractmethod
-    def _sender(self, packet: Sequence[int]) -> int:
-        """The id in a status packet."""
-
-    @abstractmethod
     def _data(self, motor: int, packet: Sequence[int], length: int) -> bytes:
         """The data of one status packet. Raises a HardwareError where it has an error, or another length."""
 
     @abstractmethod
+    def _check_error(self, motor: int, error: int) -> None:
+        """Raises a HardwareError where a motor's answer to a write says that it did not."""
+
+    def _cut(self, motor: int, packet: Sequence[int], sent: int, length: int) -> bytes:
+        """The data of a packet that has `sent` bytes of it. Raises CommunicationError if those are not `length`."""
+        if sent != length:
+            raise CommunicationError(f"{self.name(motor)}: reply with {sent} bytes of data instead of {length}")
+        return bytes(packet[self.data : self.data + length])
+
+    def _ask(self, motors: Sequence[int], address: int, length: int) -> None:
+        """Sends the request that makes each motor send `length` bytes of its table; raises CommunicationError."""
+        if len(motors) == 1:
+            self._check(motors[0], self.packets.readTx(*self._first, motors[0], address, length))
+            return
+        ids = list(motors), len(motors)
+        self._check_sent("sync read", self.packets.syncReadTx(*self._first, address, length, *ids, *self._last))
+
     def write_bytes(self, motor: int, address: int, data: bytes) -> None:
         """Writes to one motor's control table; returns when the motor has said that it did."""
+        self._begin()
+        result, error = self.packets.writeTxRx(*self._first, motor, address, len(data), list(data))
+        self._check(motor, result)
+        self._check_error(motor, error)
 
-    @abstractmethod
     def sync_write(self, register: Register, values: Mapping[int, int]) -> None:
         """One packet that writes a register of many motors. They do not answer: read back what matters.
 
         Raises:
             CommunicationError: The packet could not be sent.
         """
+        self._begin()
+        sent = [byte for motor, value in values.items() for byte in (motor, *register.encode(value))]
+        told = register.address, register.length, sent, len(sent)
+        self._check_sent(f"sync write of {register.name}", self.packets.syncWriteTxOnly(*self._first, *told))
 
     def _check(self, motor: int, result: int) -> None:
         """Raises what the result of one exchange means."""
         if result != SUCCESS:
-            said = "no reply" if self._timed_out(result) else self.packets.getTxRxResult(result)
+            said = "no reply" if result == self._timeout else self.packets.getTxRxResult(result)
             raise CommunicationError(f"{self.name(motor)}: {said}")
+
+    def _check_sent(self, what: str, result: int) -> None:
+        """The same of a packet to many motors."""
+        if result != SUCCESS:
+            raise CommunicationError(f"{what}: {self.packets.getTxRxResult(result)}")
 
     def _gather(self, motors: Sequence[int], length: int) -> tuple[dict[int, bytes], dict[int, HardwareError]]:
         """The data (length,) of each motor's reply, and for each motor without a good one the reason.
@@ -112,15 +141,15 @@ class ServoBus(ABC):
         for _ in range(MAX_PACKETS):
             if len(answers) + len(wrong) == len(motors):
                 break
-            packet, result = self._receive()
+            packet, result = self.packets.rxPacket(*self._first, *self._last)
             if result == SUCCESS:
-                motor = self._sender(packet)
+                motor = packet[self.sender]
                 if motor in motors and motor not in answers and motor not in wrong:
                     try:
                         answers[motor] = self._data(motor, packet, length)
                     except HardwareError as error:
                         wrong[motor] = error
-            elif self._timed_out(result):
+            elif result == self._timeout:
                 break
             else:
                 corrupt = True

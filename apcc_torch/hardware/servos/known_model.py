@@ -23,10 +23,6 @@ M = TypeVar("M", bound=Numbered)
 def known_model(known: Mapping[int, M], number: float) -> M:
     """The model of a number.
 
-    Args:
-        known: Models by their number.
-        number: Of the wanted one.
-
     Raises:
         ConfigError: It is not known.
     """

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import secrets
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from typing import Any, ClassVar, Protocol
@@ -10,14 +11,16 @@ import numpy as np
 
 from apcc_torch.errors import CommunicationError, DeviceFaultError, HardwareError
 from apcc_torch.hardware.interfaces import Array
-from apcc_torch.hardware.servos.bus import ServoBus
+from apcc_torch.hardware.servos.bus import ServoBus, raise_all
 from apcc_torch.hardware.servos.register import Register
+from apcc_torch.hardware.servos.spool import TICKS_PER_TURN
 from apcc_torch.plain_text import plain_logger
 
 log = plain_logger(__name__)
 
 TORQUE_OFF_TRIES = 3
 GOAL_SLACK = 8  # ticks that a hanging arm may move between two exchanges
+LOST_TURN = TICKS_PER_TURN // 4  # ticks by which nothing moves as torque goes on
 
 
 class ServoStatus(Protocol):
@@ -42,12 +45,14 @@ class ServoMotors(ABC):
 
     Attributes:
         torque: The register that switches torque. farthest: Ticks either way that a goal can have.
+        marks: How many marks there are.
         fastest: (n_a,) ticks/s, more than a tendon's motor turns without load.
         armed: Whether torque is on.
     """
 
     torque: ClassVar[Register]
     farthest: ClassVar[int]
+    marks: ClassVar[int]
     fastest: Array
 
     def __init__(self, bus: ServoBus, ids: tuple[int, ...], release_torqued: bool) -> None:
@@ -68,9 +73,11 @@ class ServoMotors(ABC):
     def reachable(self) -> tuple[Mapping[int, ServoStatus], Mapping[int, HardwareError]]:
         """The status of the motors that answer, and why the others do not."""
 
-    @abstractmethod
-    def status(self) -> Mapping[int, ServoStatus]:
+    def status(self) -> Mapping[int, Any]:
         """Every motor's status, whatever it says. Raises CommunicationError if one does not answer."""
+        status, wrong = self.reachable()
+        raise_all(wrong.values())
+        return status
 
     @abstractmethod
     def _fault(self, motor: int, state: Any) -> str:
@@ -85,8 +92,8 @@ class ServoMotors(ABC):
         """(n,) N m of some motors as far as they tell, elsewhere 0."""
 
     @abstractmethod
-    def arm(self, goals: Mapping[int, int]) -> None:
-        """Torque on, with goals in ticks already set and read back. Raises a HardwareError; then all are let go."""
+    def _prepare(self, goals: Mapping[int, int]) -> Mapping[int, int]:
+        """Sets what limits the motion, and goals in ticks, and reads both back; returns the positions, ticks."""
 
     @abstractmethod
     def write_goals(self, goals: Mapping[int, int], hold: bool = False) -> None:
@@ -98,16 +105,53 @@ class ServoMotors(ABC):
         """
 
     @abstractmethod
+    def _mark(self, motor: int, mark: int | None) -> None:
+        """Writes a motor's share of a mark, which a restart loses; None takes it off."""
+
+    @abstractmethod
+    def _bears(self, motor: int, mark: int) -> bool:
+        """Whether a motor bears its share of a mark."""
+
     def leave_mark(self) -> int:
         """Writes a new mark, which a restart loses, to all motors; returns it."""
+        mark = secrets.randbelow(self.marks)
+        for motor in self.ids:
+            self._mark(motor, mark)
+        return mark
 
-    @abstractmethod
     def check_mark(self, mark: int) -> None:
         """Raises HardwareError, which names each motor that does not bear the mark."""
+        lost = [self.bus.name(motor) for motor in self.ids if not self._bears(motor, mark)]
+        if lost:
+            raise HardwareError(
+                f"{', '.join(lost)} lost power since that calibration, or has a newer one: calibrate again"
+            )
 
-    @abstractmethod
     def erase_mark(self, motor: int) -> None:
         """Takes the mark off a motor whose count of turns is lost by what is done to it."""
+        self._mark(motor, None)
+
+    def arm(self, goals: Mapping[int, int]) -> None:
+        """Torque on, with goals in ticks already set and read back.
+
+        Raises:
+            CommunicationError: A motor did not answer; all are let go.
+            DeviceFaultError: A motor refuses, or does not hold what was written; all are let go.
+        """
+        try:
+            before = self._prepare(goals)
+            for motor in self.ids:
+                self.bus.write(motor, self.torque, 1)
+            self.armed = True
+            self.write_goals(goals)
+            status = self.status()
+            self.check_status(status)
+            for motor, state in status.items():
+                if abs(state.position - before[motor]) > LOST_TURN:
+                    raise DeviceFaultError(f"{self.bus.name(motor)} moved when it was armed: calibrate again")
+        except BaseException:
+            self.torque_off()
+            raise
 
     def check_status(self, status: Mapping[int, ServoStatus]) -> None:
         """Raises DeviceFaultError, which names each motor with a fault and the fault."""
@@ -164,12 +208,6 @@ class ServoMotors(ABC):
         """
         if abs(goal - position) > abs(wanted - position) + GOAL_SLACK:
             raise DeviceFaultError(f"{self.bus.name(motor)} has goal {goal} instead of {wanted}")
-
-    def check_still(self, before: Mapping[int, int], status: Mapping[int, ServoStatus], most: int) -> None:
-        """Raises DeviceFaultError where a motor moved by more than `most` ticks as it was armed."""
-        for motor, state in status.items():
-            if abs(state.position - before[motor]) > most:
-                raise DeviceFaultError(f"{self.bus.name(motor)} moved when it was armed: calibrate again")
 
     def torque_off(self) -> tuple[int, ...]:
         """Lets go of every motor, whatever fails on the way; returns those that did not confirm it."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import NamedTuple
 
 from apcc_torch.errors import CommunicationError, ValueRangeError
@@ -49,3 +50,8 @@ class Register(NamedTuple):
             return value
         magnitude = value & (1 << self.sign_bit) - 1
         return -magnitude if value >> self.sign_bit & 1 else magnitude
+
+
+def named_bits(value: int, names: Mapping[int, str]) -> str:
+    """The names of the bits set in a value, "" if none is."""
+    return ", ".join(names.get(bit, f"bit {bit}") for bit in range(8) if value >> bit & 1)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 from apcc_torch.errors import ConfigError, ValueRangeError
@@ -9,6 +10,12 @@ from apcc_torch.settings import OURS, PAPER, Settings, setting
 from apcc_torch.spread import Numbers, spread
 
 MAX_ID = 252
+
+
+def check_gains(gains: tuple[int, ...] | None) -> None:
+    """Raises ConfigError where gains of a position control are not P, I and D."""
+    if gains is not None and (len(gains) != 3 or any(not isinstance(gain, int) for gain in gains)):
+        raise ConfigError(f"position_gains must be three whole numbers, P, I and D, got {gains}")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,6 +60,11 @@ class ServoSettings(Settings):
     def _beside(self) -> str:
         """What else ids must differ from, for the message."""
         return ""
+
+    def told_or(self, name: str, of_models: Iterable[float]) -> dict[int, float]:
+        """A setting of each tendon's motor by its id; where it is null, what its model has."""
+        values = list(of_models) if getattr(self, name) is None else self.each(name)
+        return dict(zip(self.ids, values, strict=True))
 
     def each(self, name: str) -> list[float]:
         """A setting that may be one number for all tendons, as one a tendon."""

@@ -31,12 +31,7 @@ class SimulatedActuatorSettings(Settings):
 
 
 class SimulatedActuator(TendonActuator):
-    """Tendons on simulated motors: whole encoder ticks, bounded speed, compliance, and torque that can be off.
-
-    Args:
-        world: Where the arm lives.
-        given, changes: Settings.
-    """
+    """Tendons on simulated motors: whole encoder ticks, bounded speed, compliance, and torque that can be off."""
 
     settings_type = SimulatedActuatorSettings
     needs_calibration = False
@@ -140,12 +135,7 @@ class SimulatedActuator(TendonActuator):
 
 
 class SimulatedRegulators(SimulatedActuator, PressureActuator):
-    """The same for chambers: pressures in whole steps, which the simulated valves follow.
-
-    Args:
-        world: Where the arm lives.
-        given, changes: Settings.
-    """
+    """The same for chambers: pressures in whole steps, which the simulated valves follow."""
 
     def __init__(self, world: SimulatedWorld, *given: Any, **changes: Any) -> None:
         super().__init__(world, *given, **changes)

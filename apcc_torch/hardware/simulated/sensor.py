@@ -23,12 +23,7 @@ class SimulatedSensorSettings(Settings):
 
 
 class SimulatedSensor(PoseSensor):
-    """Frames at a fixed rate that arrive a latency after they were measured.
-
-    Args:
-        world: Where the arm lives.
-        given, changes: Settings.
-    """
+    """Frames at a fixed rate that arrive a latency after they were measured."""
 
     settings_type = SimulatedSensorSettings
 
