@@ -9,7 +9,8 @@ import torch
 from torch import Tensor, nn
 
 from apcc_torch.control.adaptation import total_regressor
-from apcc_torch.control.bounds import RateBounds, ReferenceBounds
+from apcc_torch.control.asked import Asked
+from apcc_torch.control.bounds import ReferenceBounds
 from apcc_torch.control.control_settings import ControllerSettings, ControlSettings
 from apcc_torch.control.inverse_kinematics import InverseKinematics
 from apcc_torch.control.length_bounds import LengthBounds
@@ -227,7 +228,7 @@ class APCCController(Part):
         if self.pressure is not None and state.pressure is not None:
             bounds = self.pressure.bounds(state.pressure, self.backbone.coordinates, bounds)
         driven = self._driven(q_bar, pi_hat, chain, shape, batch)
-        qdot, limits = self._solve(state, measurement, target, *driven, wanted, dt, bounds)
+        qdot, limits = self._solve(Asked(state, measurement, target, *driven, wanted, dt, bounds))
         qdot, q_d, limits = moved(state.q_d, qdot, dt, e, valid, reference, bounds, limits)
         if self.adaptive and self.laws:
             velocity = qdot_bar if self.velocity == "measured" else qdot
@@ -296,20 +297,10 @@ class APCCController(Part):
         """The sections' lengths (..., n_b) m with which q_d is mapped to the tendons."""
         return pi_hat if self.shape is None else self.shape.driven_lengths(pi_hat)
 
-    def _solve(
-        self,
-        state: ControllerState,
-        measurement: Measurement,
-        target: Target,
-        q: Tensor,
-        pi_hat: Tensor,
-        chain: Placed,
-        e: Tensor,
-        dt: Tensor,
-        bounds: RateBounds | None,
-    ) -> tuple[Tensor, Tensor | None]:
-        """qdot (..., n) of Eq. (16) within its bounds, and the tendons' `Command.limits`; q to chain of `_driven`."""
-        return self.inverse_kinematics(chain.tip_jacobian(), e, target.xdot_d.expand_as(e), q, dt, bounds), None
+    def _solve(self, asked: Asked) -> tuple[Tensor, Tensor | None]:
+        """qdot (..., n) of Eq. (16) within its bounds, and the tendons' `Command.limits`."""
+        J, xdot_d = asked.chain.tip_jacobian(), asked.target.xdot_d.expand_as(asked.e)
+        return self.inverse_kinematics(J, asked.e, xdot_d, asked.q, asked.dt, asked.bounds), None
 
     def regressor(
         self,

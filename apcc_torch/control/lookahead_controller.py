@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from apcc_torch.control.ahead import Ahead, AheadStatus
-from apcc_torch.control.bounds import RateBounds
+from apcc_torch.control.asked import Asked
 from apcc_torch.control.control_settings import ControlSettings
 from apcc_torch.control.controller import APCCController
 from apcc_torch.control.lookahead import Lookahead
@@ -21,7 +21,6 @@ from apcc_torch.errors import ConfigError
 from apcc_torch.estimation.feedback import FeedbackStatus
 from apcc_torch.model.arm import Arm
 from apcc_torch.model.backbone import PCCBackbone
-from apcc_torch.model.kinematic_model import Placed
 from apcc_torch.native.compiled import Step, compiled
 from apcc_torch.part import part_of, row_tensors
 
@@ -158,27 +157,16 @@ class LookaheadController(APCCController):
         look = self.lookahead
         return compiled(look.loop, look.loop.blank(look.knots), compile, rows * look.samples, carries=True)
 
-    def _solve(
-        self,
-        state: ControllerState,
-        measurement: Measurement,
-        target: Target,
-        q: Tensor,
-        pi_hat: Tensor,
-        chain: Placed,
-        e: Tensor,
-        dt: Tensor,
-        bounds: RateBounds | None,
-    ) -> tuple[Tensor, Tensor | None]:
+    def _solve(self, asked: Asked) -> tuple[Tensor, Tensor | None]:
         """qdot (..., n) of Eq. (16) with the departure that waits, and no `Command.limits` of its own."""
-        ahead = state.ahead
+        ahead, e = asked.state.ahead, asked.e
         assert ahead is not None  # of `initial_state`
         waits = ahead.next == AheadStatus.FOLLOWED
-        departure = self.lookahead.loop.departure(ahead.knots, ahead.age + dt)
+        departure = self.lookahead.loop.departure(ahead.knots, ahead.age + asked.dt)
         departure = torch.where(waits.unsqueeze(-1), departure, 0.0)
-        wanted = target.xdot_d.expand_as(e) + departure[..., :3]
-        J = chain.tip_jacobian()
-        return self.inverse_kinematics(J, e, wanted, q, dt, bounds, departure[..., 3:]), None
+        wanted = asked.target.xdot_d.expand_as(e) + departure[..., :3]
+        J = asked.chain.tip_jacobian()
+        return self.inverse_kinematics(J, e, wanted, asked.q, asked.dt, asked.bounds, departure[..., 3:]), None
 
     def _pieces(self, state: ControllerState, pi_hat: Tensor) -> Tensor:
         """q (..., n_f) of the arm's pieces, of a q_bar over rest lengths pi_hat (..., n_b), m, or of a shape."""

@@ -8,7 +8,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from apcc_torch.control.bounds import RateBounds
+from apcc_torch.control.asked import Asked
 from apcc_torch.control.clearance import ClearanceCost
 from apcc_torch.control.controller import APCCController
 from apcc_torch.control.step_io import Command, ControllerState, Measurement, Target
@@ -17,7 +17,6 @@ from apcc_torch.control.tasks import Task, TaskTarget
 from apcc_torch.control.tendon_limits import ConstrainedVelocity, TendonLimits
 from apcc_torch.errors import ConfigError
 from apcc_torch.lie import se3
-from apcc_torch.model.kinematic_model import Placed
 from apcc_torch.modes import values_of
 
 SAME_PLACE = 1e-6
@@ -79,19 +78,9 @@ class TaskController(APCCController):
         # What the program cannot see, a law that changes B and the bounds of q_d, is cut here.
         return later, command._replace(y=self.tendon_limits.held(command.y))
 
-    def _solve(
-        self,
-        state: ControllerState,
-        measurement: Measurement,
-        target: Target,
-        q: Tensor,
-        pi_hat: Tensor,
-        chain: Placed,
-        e: Tensor,
-        dt: Tensor,
-        bounds: RateBounds | None,
-    ) -> tuple[Tensor, Tensor | None]:
+    def _solve(self, asked: Asked) -> tuple[Tensor, Tensor | None]:
         """qdot (..., n) of the whole stack within its bounds, and the tendons' `Command.limits`."""
+        state, measurement, target, q, pi_hat, _, e, dt, bounds = asked
         T, J_b = self.stack.poses(self.backbone, q, pi_hat)
         # The tip's error is the controller's, which knows whether the tip was measured.
         turn = torch.eye(3, dtype=e.dtype, device=e.device).expand(*e.shape[:-1], 3, 3)
