@@ -13,11 +13,11 @@ from apcc_torch.control.bounds import RateBounds
 from apcc_torch.control.control_settings import ControlSettings
 from apcc_torch.control.controller import APCCController
 from apcc_torch.control.lookahead import Lookahead
+from apcc_torch.control.lookahead_refusal import LookaheadRefusal
 from apcc_torch.control.lookahead_settings import LookaheadSettings
 from apcc_torch.control.obstacles import Obstacle
 from apcc_torch.control.predicted_loop import Outlook, Predicted, PredictedLoop
 from apcc_torch.control.step_io import Command, ControllerState, Measurement, Target, elapsed
-from apcc_torch.errors import ConfigError
 from apcc_torch.estimation.feedback import FeedbackStatus
 from apcc_torch.model.arm import Arm
 from apcc_torch.model.backbone import PCCBackbone
@@ -71,12 +71,10 @@ class LookaheadController(APCCController):
     ) -> None:
         super().__init__(*parts, **settings)
         s = LookaheadSettings() if lookahead is None else lookahead
-        if self.routing is None:
-            raise ConfigError("a look ahead needs a tendon routing")
-        if self.pressure is not None:
-            raise ConfigError("a look ahead predicts tendons: arm.chambers must be null, or lookahead none")
-        if not isinstance(self.backbone, PCCBackbone):
-            raise ConfigError("a look ahead needs a model of constant-curvature sections, model=pcc")
+        LookaheadRefusal.NO_TENDONS.check(self.routing is None)
+        LookaheadRefusal.CHAMBERS.check(self.pressure is not None)
+        LookaheadRefusal.MODEL.check(not isinstance(self.backbone, PCCBackbone))
+        assert isinstance(self.backbone, PCCBackbone) and self.routing is not None  # refused otherwise
         # A shape is known in pieces of the sections, and what the load does to them moves the tip by centimetres.
         with self.backbone.base_rotation.device:  # where numbers become tensors
             dynamics = of.dynamics(1 if self.shape is None else self.shape.shape.refine)
@@ -92,8 +90,7 @@ class LookaheadController(APCCController):
         self.lookahead: Lookahead = part_of(s)(loop, s)
         self.rate_time, self.payload_limit = max(s.rate_time, 1e-9), s.payload_limit
         self.observer_gain, self.payload_time, self.force_time = s.observer_gain, s.payload_time, s.force_time
-        if row_tensors(self.lookahead):
-            raise ConfigError("a look ahead has one model for all rows: its settings and the controller's must be too")
+        LookaheadRefusal.ROWS.check(bool(row_tensors(self.lookahead)))
 
     @classmethod
     def on(cls, arm: Arm, control: ControlSettings, nominal: Tensor | None = None, **parts: Any) -> Self:
@@ -147,9 +144,12 @@ class LookaheadController(APCCController):
         z = torch.zeros_like(off) if state.integral is None else state.integral
         x_d, xdot_d = (each.expand_as(off) for each in (target.x_d, target.xdot_d))
         pi = self.driven_lengths(state.pi_hat).expand_as(state.pi_hat)
+        assert self.routing is not None  # refused otherwise
+        # Once a look: lengths do not change over the horizon.
+        B_hat = self.backbone.tendon_matrix(self.routing, pi)
         edot = xdot_d - (J @ ahead.rate.unsqueeze(-1)).squeeze(-1)
         now = Predicted(ahead.q, ahead.rate, state.q_d, ahead.y, x_d - ahead.x, edot, zero, zero)
-        outlook = Outlook(x_d, xdot_d, z, off, pi, ahead.payload, ahead.d)
+        outlook = Outlook(x_d, xdot_d, z, off, pi, B_hat, ahead.payload, ahead.d)
         way = look(now, outlook, look.shifted(ahead.knots, ahead.age), ahead.number, run)
         return state._replace(ahead=ahead._replace(knots=way.knots, age=zero, next=way.status, number=ahead.number + 1))
 

@@ -44,8 +44,8 @@ class Outlook(NamedTuple):
     """What is known and wanted of an arm now, and stays so over the horizon.
 
     x_d, xdot_d: (..., 3) target, m, m/s. z: (..., 3) integral beside its error, m. off: (..., 3) m, of the measured tip
-    from the model's. pi: (..., n_b) m, the lengths with which q_d is mapped to the tendons. payload: (...) kg.
-    d: (..., n_f) generalized force that nothing else explains, N m and N.
+    from the model's. pi: (..., n_b) m, the lengths of the driven sections, and B_hat: (..., n, n_a), with which q_d is
+    mapped to the tendons. payload: (...) kg. d: (..., n_f) generalized force that nothing else explains, N m and N.
     """
 
     x_d: Tensor
@@ -53,6 +53,7 @@ class Outlook(NamedTuple):
     z: Tensor
     off: Tensor
     pi: Tensor
+    B_hat: Tensor
     payload: Tensor
     d: Tensor
 
@@ -68,7 +69,7 @@ class PredictedLoop(Part):
         backbone: The controller's model.
         inverse_kinematics: Its Eq. (16).
         dynamics: The arm, each of the model's sections divided into equal pieces, or into one.
-        routing: Its tendons.
+        routing: Its tendons, as they act on it.
         *settings, **changes: See `PredictedLoopSettings`.
         obstacles: To be kept clear of, beside `spheres`.
         bend_bound, elongation_bound, reference_damping: Of the controller.
@@ -117,7 +118,6 @@ class PredictedLoop(Part):
         self.backbone = backbone
         self.inverse_kinematics = inverse_kinematics
         self.dynamics = dynamics
-        self.routing = routing
         self.reference_damping = reference_damping
         hold_numbers(self, bend_bound=bend_bound, elongation_bound=elongation_bound)
         listed = [(dynamics.lengths.new_tensor(each[:3]), float(each[3])) for each in s.spheres]
@@ -140,7 +140,8 @@ class PredictedLoop(Part):
         q, q_d, zero = (lengths.new_zeros(size) for size in ((self.arm.n,), (self.backbone.n,), ()))
         point, departure = lengths.new_zeros(3), lengths.new_zeros(knots, 3 + self.backbone.n)
         now = Predicted(q, q, q_d, lengths.new_zeros(self.B.shape[-1]), point, point, zero, zero)
-        return now, departure, Outlook(point, point, point, point, lengths, zero, q)
+        B_hat = lengths.new_zeros(self.backbone.n, self.B.shape[-1])
+        return now, departure, Outlook(point, point, point, point, lengths, B_hat, zero, q)
 
     def placed(self, q: Tensor) -> Placed:
         """The tip of an arm at q (..., n_f), and how it moves with it."""
@@ -174,7 +175,7 @@ class PredictedLoop(Part):
             knots: (..., k, 3 + n) departure, m/s, rad/s and m/s.
             outlook: What is known and wanted.
         """
-        dt, model = self.dt, self.backbone
+        dt = self.dt
         chain = self.placed(now.q)
         J_f = chain.tip_jacobian()
         # Tendons move all pieces of a section alike.
@@ -186,13 +187,14 @@ class PredictedLoop(Part):
         asked = self.departure(knots, now.time)
         wanted, beside = outlook.xdot_d + asked[..., :3], asked[..., 3:]
         q, step = self.driven(now.q, outlook.pi), torch.full_like(now.time, dt)
-        reference = ReferenceBounds.of(model.coordinates, self.bend_bound, self.elongation_bound)
+        reference = ReferenceBounds.of(self.backbone.coordinates, self.bend_bound, self.elongation_bound)
         bounds = None if reference is None else reference.rates(now.q_d, step)
         rate = self.inverse_kinematics(J, e + outlook.z, wanted, q, step, bounds, beside)
         q_d = now.q_d + dt * rate
         if reference is not None:
             q_d = reference.held(q_d)
-        y = model.tendon_lengths(self.routing, q_d - self.reference_damping * self.sections(now.qdot), outlook.pi)
+        damped = q_d - self.reference_damping * self.sections(now.qdot)
+        y = (outlook.B_hat.mT @ damped.unsqueeze(-1)).squeeze(-1)
         u = self.K_P * (y - y_now) + self.K_D * ((y - now.y) / dt - ydot_now)
         tau = outlook.d + (self.B @ (u - self.tendon_damping * ydot_now).unsqueeze(-1)).squeeze(-1)
         square = self.B @ self.B.mT

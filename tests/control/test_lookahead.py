@@ -128,8 +128,13 @@ def start_of(of: LookaheadController, state: ControllerState, aim: Target) -> tu
     assert a is not None
     zero, still = torch.zeros_like(a.age), torch.zeros_like(aim.x_d)
     now = Predicted(a.q, torch.zeros_like(a.q), state.q_d, a.y, aim.x_d - a.x, still, zero, zero)
-    lengths = LENGTHS.expand(*zero.shape, 2)
-    return now, Outlook(aim.x_d, still, still, still, lengths, zero, torch.zeros_like(a.q))
+    return now, outlook_of(aim.x_d, zero, torch.zeros_like(a.q))
+
+
+def outlook_of(x_d: Tensor, payload: Tensor, d: Tensor) -> Outlook:
+    """Targets (R, 3) that rest, seen by arms of the model's own lengths."""
+    still, lengths = torch.zeros_like(x_d), LENGTHS.expand(len(x_d), 2)
+    return Outlook(x_d, still, still, still, lengths, ARM.routing().matrix(lengths), payload, d)
 
 
 def test_no_way_that_is_taken_costs_more_than_eq_16() -> None:
@@ -167,9 +172,8 @@ def test_the_model_moves_as_the_arm_that_it_is_of() -> None:
     y = log.y_d[k + 1]  # told in the period that begins
     rate = (log.q_true[k] - log.q_true[k - 1]) / 0.02
     zero, still = torch.zeros(3, dtype=D), torch.zeros(3, 3, dtype=D)
-    lengths = LENGTHS.expand(3, 2)
     now = Predicted(q_true, rate, q_d, y, X_D - log.x[k], still, zero, zero)
-    outlook = Outlook(X_D, still, still, still, lengths, zero, torch.zeros_like(q_true))
+    outlook = outlook_of(X_D, zero, torch.zeros_like(q_true))
     later = of.rollouts("off")(now, torch.zeros(3, 3, 9, dtype=D), outlook, repeats=15)
     tip = ARM.backbone().tip(later.q, LENGTHS)
     moved = (log.x[k + 15] - log.x[k]).norm(dim=-1)
