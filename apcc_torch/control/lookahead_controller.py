@@ -19,6 +19,7 @@ from apcc_torch.control.obstacles import Obstacle
 from apcc_torch.control.predicted_loop import Outlook, Predicted, PredictedLoop
 from apcc_torch.control.step_io import Command, ControllerState, Measurement, Target, elapsed
 from apcc_torch.estimation.feedback import FeedbackStatus
+from apcc_torch.model.abscissae import decouple, section_fractions
 from apcc_torch.model.arm import Arm
 from apcc_torch.model.backbone import PCCBackbone
 from apcc_torch.model.kinematic_model import Placed
@@ -143,13 +144,17 @@ class LookaheadController(APCCController):
         off, J = ahead.x - chain.tip, chain.tip_jacobian()
         z = torch.zeros_like(off) if state.integral is None else state.integral
         x_d, xdot_d = (each.expand_as(off) for each in (target.x_d, target.xdot_d))
-        pi = self.driven_lengths(state.pi_hat).expand_as(state.pi_hat)
+        # Once a look: the model's lengths do not change over the horizon.
+        lengths = self.driven_lengths(state.pi_hat).expand_as(state.pi_hat)
         assert self.routing is not None  # refused otherwise
-        # Once a look: lengths do not change over the horizon.
-        B_hat = self.backbone.tendon_matrix(self.routing, pi)
+        B_hat = self.backbone.tendon_matrix(self.routing, lengths)
+        if self.shape is None:
+            apart = state.q_bar - look.loop.sections(ahead.q)
+        else:
+            apart = self.backbone.coordinates.on_elongations(look.loop.lengths - lengths)
         edot = xdot_d - (J @ ahead.rate.unsqueeze(-1)).squeeze(-1)
         now = Predicted(ahead.q, ahead.rate, state.q_d, ahead.y, x_d - ahead.x, edot, zero, zero)
-        outlook = Outlook(x_d, xdot_d, z, off, pi, B_hat, ahead.payload, ahead.d)
+        outlook = Outlook(x_d, xdot_d, z, off, apart, B_hat, ahead.payload, ahead.d)
         way = look(now, outlook, look.shifted(ahead.knots, ahead.age), ahead.number, run)
         return state._replace(ahead=ahead._replace(knots=way.knots, age=zero, next=way.status, number=ahead.number + 1))
 
@@ -181,11 +186,20 @@ class LookaheadController(APCCController):
         return self.inverse_kinematics(J, e, wanted, q, dt, bounds, departure[..., 3:]), None
 
     def _pieces(self, state: ControllerState, pi_hat: Tensor) -> Tensor:
-        """q (..., n_f) of the arm's pieces, of a q_bar over rest lengths pi_hat (..., n_b), m, or of a shape."""
+        """q (..., n_f) of the arm's pieces, of a q_bar over rest lengths pi_hat (..., n_b), m, or of a shape.
+
+        The arm's own sections have what q_bar says of their material, by algorithm 1: the model's may begin elsewhere.
+        """
         loop = self.lookahead.loop
-        if self.shape is None or state.shape is None:
-            return loop.spread(state.q_bar + self.backbone.coordinates.on_elongations(pi_hat - loop.lengths))
-        return self.shape.shape.configuration(state.shape.shape)
+        if self.shape is not None and state.shape is not None:
+            return self.shape.shape.configuration(state.shape.shape)
+        ends = loop.lengths.cumsum(-1)
+        before = section_fractions(*decouple(ends, pi_hat), self.backbone.n_sections)
+        shares = before.diff(dim=-2, prepend=torch.zeros_like(before[..., :1, :]))
+        q = (shares @ state.q_bar.unflatten(-1, (-1, 3))).flatten(-2)
+        # Where the model ends before the arm, its tip is the arm's: what is missing is elongation.
+        short = (pi_hat.sum(-1, keepdim=True) - ends[..., -1:]).clamp(max=0.0)
+        return loop.spread(torch.cat((q[..., :-1], q[..., -1:] + short), dim=-1))
 
     def _seen(self, ahead: Ahead, q: Tensor, x: Tensor, dt: Tensor) -> Ahead:
         """`ahead` with what an arm at q (..., n_f), its tip at x (..., 3), tells after dt (...) s.

@@ -44,15 +44,16 @@ class Outlook(NamedTuple):
     """What is known and wanted of an arm now, and stays so over the horizon.
 
     x_d, xdot_d: (..., 3) target, m, m/s. z: (..., 3) integral beside its error, m. off: (..., 3) m, of the measured tip
-    from the model's. pi: (..., n_b) m, the lengths of the driven sections, and B_hat: (..., n, n_a), with which q_d is
-    mapped to the tendons. payload: (...) kg. d: (..., n_f) generalized force that nothing else explains, N m and N.
+    from the model's. apart: (..., n) rad and m, of the controller's q from that of the arm's sections, which may be of
+    other lengths. B_hat: (..., n, n_a) with which q_d is mapped to the tendons. payload: (...) kg. d: (..., n_f)
+    generalized force that nothing else explains, N m and N.
     """
 
     x_d: Tensor
     xdot_d: Tensor
     z: Tensor
     off: Tensor
-    pi: Tensor
+    apart: Tensor
     B_hat: Tensor
     payload: Tensor
     d: Tensor
@@ -141,7 +142,7 @@ class PredictedLoop(Part):
         point, departure = lengths.new_zeros(3), lengths.new_zeros(knots, 3 + self.backbone.n)
         now = Predicted(q, q, q_d, lengths.new_zeros(self.B.shape[-1]), point, point, zero, zero)
         B_hat = lengths.new_zeros(self.backbone.n, self.B.shape[-1])
-        return now, departure, Outlook(point, point, point, point, lengths, B_hat, zero, q)
+        return now, departure, Outlook(point, point, point, point, q_d, B_hat, zero, q)
 
     def placed(self, q: Tensor) -> Placed:
         """The tip of an arm at q (..., n_f), and how it moves with it."""
@@ -155,10 +156,6 @@ class PredictedLoop(Part):
         """q (..., n_f) of sections' strains (..., n), of which each piece takes an equal part."""
         parts = (q.unflatten(-1, (-1, 1, 3)) / self.refine).expand(*q.shape[:-1], -1, self.refine, 3)
         return parts.flatten(-3)
-
-    def driven(self, q: Tensor, pi: Tensor) -> Tensor:
-        """The controller's q (..., n) of an arm at q (..., n_f): of rest lengths pi (..., n_b), m, as long."""
-        return self.sections(q) - self.backbone.coordinates.on_elongations(pi - self.lengths)
 
     def departure(self, knots: Tensor, time: Tensor) -> Tensor:
         """(v, w) (..., 3 + n) of knots (..., k, 3 + n) at a time (...) s from now; beyond the horizon the last."""
@@ -186,7 +183,7 @@ class PredictedLoop(Part):
 
         asked = self.departure(knots, now.time)
         wanted, beside = outlook.xdot_d + asked[..., :3], asked[..., 3:]
-        q, step = self.driven(now.q, outlook.pi), torch.full_like(now.time, dt)
+        q, step = self.sections(now.q) + outlook.apart, torch.full_like(now.time, dt)
         reference = ReferenceBounds.of(self.backbone.coordinates, self.bend_bound, self.elongation_bound)
         bounds = None if reference is None else reference.rates(now.q_d, step)
         rate = self.inverse_kinematics(J, e + outlook.z, wanted, q, step, bounds, beside)

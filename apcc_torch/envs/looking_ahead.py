@@ -39,16 +39,21 @@ class RowsAhead:
             state: After the step.
             done: (N,) bool, rows that the step ended.
         """
-        before = state.controller
-        assert before is not None and before.ahead is not None  # of a controller that looks ahead
-        began = self.simulator.period * (state.step - 1).to(before.q_bar.dtype)
+        assert state.controller is not None  # it looks ahead
+        began = self.simulator.period * (state.step - 1).to(state.controller.q_bar.dtype)
         target = self.simulator.task.target(state.goal, began)
-        later = self.loop.look_ahead(before, target, state.rows.lengths, self.run)
+        later = self.loop.look_ahead(state.controller, target, state.rows.lengths, self.run)
         assert later.ahead is not None  # as before
-        return select(done, before.ahead, later.ahead)
+        return select(done, plans(state), later.ahead)
+
+
+def plans(state: EnvState) -> Ahead:
+    """What the controllers of rows remember that look ahead."""
+    assert state.controller is not None and state.controller.ahead is not None  # they look ahead
+    return state.controller.ahead
 
 
 def with_plans(state: EnvState, ahead: Ahead) -> EnvState:
-    """The state of rows that remember this of their look ahead."""
-    assert state.controller is not None  # it looks ahead
+    """The state with this in place of it."""
+    assert state.controller is not None  # as above
     return state._replace(controller=state.controller._replace(ahead=ahead))

@@ -10,7 +10,7 @@ from torch import Tensor, nn
 from apcc_torch.control.step_io import ControllerState
 from apcc_torch.envs.dynamic import DynamicArm
 from apcc_torch.envs.kinematic import KinematicState
-from apcc_torch.envs.looking_ahead import RowsAhead
+from apcc_torch.envs.looking_ahead import RowsAhead, plans
 from apcc_torch.envs.outcome import Outcome, View
 from apcc_torch.envs.prepared import Draw, Listed, Prepared
 from apcc_torch.envs.row_trees import map_rows
@@ -182,7 +182,7 @@ class ByMachineCode:
         later, outcome, again = self._standing(action, prepared)
         if self._ahead is not None:
             # Into the rows' own memory: from there the next step begins.
-            map_rows(Tensor.copy_, later.controller.ahead, self._ahead(later, outcome.truncated))
+            map_rows(Tensor.copy_, plans(later), self._ahead(later, outcome.truncated))
         self._now = later if stream is state.stream else later._replace(stream=stream)
         return self._now, outcome, again
 
