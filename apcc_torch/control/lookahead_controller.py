@@ -178,7 +178,8 @@ class LookaheadController(APCCController):
         """qdot (..., n) of Eq. (16) with the departure that waits, and no `Command.limits` of its own."""
         ahead = state.ahead
         assert ahead is not None  # of `initial_state`
-        waits = ahead.next == AheadStatus.FOLLOWED
+        # As a number: torch.compile does not compare tensors with an enumeration.
+        waits = ahead.next == int(AheadStatus.FOLLOWED)
         departure = self.lookahead.loop.departure(ahead.knots, ahead.age + dt)
         departure = torch.where(waits.unsqueeze(-1), departure, 0.0)
         wanted = target.xdot_d.expand_as(e) + departure[..., :3]
