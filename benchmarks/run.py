@@ -5,6 +5,8 @@ Rows at batch 1 use one thread. `floor` gives the scalar operations and the byte
 formulas, as the compiler counts them. Peers are timed beside where they are installed (pip install -e '.[oracle]'):
 NumPy, torch's own compilers, SoRoMoX, MuJoCo's cable at equal accuracy, and pytorch-kinematics.
 Machine code is built once, which takes a few minutes at the first run, and is kept (APCC_CACHE).
+`--quick` leaves out batches of 64 and 256, single precision and torch's own compilers, which take a minute each to
+compile, unless `--only` asks for them; the rows that stay have fewer calls.
 `--device cuda` times the eager rows on a GPU instead.
 """
 
@@ -40,19 +42,23 @@ Row = dict[str, float]
 D = torch.float64
 BATCHES = (1, 64, 4096)
 REAL_TIME_STEPS = 100_000
+SLOW = ("float32", "batch_64_", "batch_256_", "inductor")
+"""In the names of rows that a quick table leaves out."""
 
 
 class Table:
     """Rows as they come, printed and kept."""
 
-    def __init__(self, only: str | None) -> None:
+    def __init__(self, only: str | None, quick: bool) -> None:
         self.rows: dict[str, Any] = {}
-        self.only = only
+        self.only, self.quick = only, quick
         print(f"{'row':<50}{'median us':>12}{'p99.9 us':>12}{'us a row':>12}{'rows/s':>14}")
 
     def wants(self, name: str) -> bool:
         """Whether a row of this name is asked for."""
-        return self.only is None or self.only in name
+        if self.only is not None:
+            return self.only in name
+        return not (self.quick and any(part in name for part in SLOW))
 
     def add(self, name: str, batch: int, threads: int, job: Callable[[], Row]) -> None:
         """Runs one row's job with so many threads."""
@@ -83,9 +89,11 @@ def control_steps(table: Table, options: argparse.Namespace) -> None:
             if not table.wants(name + "_aot"):
                 continue
             count = 400 if batch == 1 else 25
+            if options.quick:
+                count = 120 if batch == 1 else 8
             c, inputs = steps(batch, dtype, count)
-            late = inputs[-min(count - 20, 200) :]
-            many = max(20, round(options.budget / (3e-3 if batch < 4096 else 0.3)))
+            late = inputs[-max(3, min(count - 20, 200)) :]
+            many = max(5 if options.quick else 20, round(options.budget / (3e-3 if batch < 4096 else 0.3)))
             on = [rebuilt(given, (leaf.to(options.device) for leaf in flattened(given))) for given in late]
             eager = c.to(options.device)
             table.add(
@@ -94,15 +102,18 @@ def control_steps(table: Table, options: argparse.Namespace) -> None:
             if options.device != "cpu":
                 continue
             step = NativeFunction(c.to("cpu"), one_row(late[0], batch), threads=threads)
-            calls = (REAL_TIME_STEPS if batch == 1 else 2000 if batch < 4096 else 100) if not options.quick else 2000
+            calls, paused = REAL_TIME_STEPS if batch == 1 else 2000 if batch < 4096 else 100, 200
+            if options.quick:
+                calls, paused = min(calls, 2000), 50
             table.add(f"{name}_aot", batch, threads,
                       lambda s=step, g=late, n=calls: timed_steps(s, g, n) | floor(s))  # fmt: skip
             table.compare(f"{name}_aot", f"{name}_eager", "eager")
             if batch == 1:
                 loop = standing(step, late[0])
                 table.add(f"{name}_standing", 1, 1, lambda c=loop, n=calls: timed_steps(c, [()], n))
-                table.add(f"{name}_standing_after_20_ms", 1, 1, lambda c=loop: timed(c, 0.0, 200, pause=0.02))
-                table.add(f"{name}_standing_flushed", 1, 1, lambda c=loop: timed(c, 0.0, 100, before=flush_caches))
+                table.add(f"{name}_standing_after_20_ms", 1, 1, lambda c=loop, n=paused: timed(c, 0.0, n, pause=0.02))
+                table.add(f"{name}_standing_flushed", 1, 1,
+                          lambda c=loop, n=paused // 2: timed(c, 0.0, n, before=flush_caches))  # fmt: skip
             if batch == 1 and dtype == D:
                 routing = c.routing
                 assert routing is not None
@@ -124,9 +135,11 @@ def shape_steps(table: Table, options: argparse.Namespace) -> None:
         if not table.wants(name + "_aot"):
             continue
         threads, count = (1, 200) if batch == 1 else (options.threads, 25)
+        if options.quick:
+            count = 60 if batch == 1 else 8
         c, inputs = steps(batch, D, count, shipped)
-        late = inputs[-min(count - 20, 100) :]
-        many = max(20, round(options.budget / (2e-2 if batch < 4096 else 0.5)))
+        late = inputs[-max(3, min(count - 20, 100)) :]
+        many = max(5 if options.quick else 20, round(options.budget / (2e-2 if batch < 4096 else 0.5)))
         table.add(f"{name}_eager", batch, threads, lambda c=c, g=late, n=many: timed_steps(c, g, n))
         step = NativeFunction(c, one_row(late[0], batch), threads=threads)
         calls = 2000 if batch < 4096 else 100
@@ -164,6 +177,8 @@ def forward_dynamics(table: Table, options: argparse.Namespace) -> None:
         threads = 1 if batch == 1 else options.threads
         given = states(6, batch, D)
         name = f"forward_dynamics_batch_{batch}"
+        if not any(table.wants(f"{name}_{kind}") for kind in ("eager", "aot", "soromox")):
+            continue
         on = tuple(value.to(options.device) for value in given)
         eager = dynamics(6, D).to(options.device)
         table.add(
@@ -192,9 +207,10 @@ def forward_dynamics(table: Table, options: argparse.Namespace) -> None:
 
 def loops(table: Table, options: argparse.Namespace) -> None:
     """Section V-B's loop, closed and open."""
+    few = 0.1 if options.quick else 0.5  # s, where one takes a minute eagerly
     for rows in (1, 60, 4096):
         for mode in ("off", "aot"):
-            seconds = 10.0 if mode == "aot" and rows < 4096 else 0.5
+            seconds = 10.0 if mode == "aot" and rows < 4096 else few if rows == 4096 else 0.5
             name = f"closed_loop_{rows}_rows_{'eager' if mode == 'off' else mode}"
 
             def second(rows: int = rows, seconds: float = seconds, mode: str = mode) -> Row:
@@ -209,7 +225,8 @@ def loops(table: Table, options: argparse.Namespace) -> None:
         table.compare(f"closed_loop_{rows}_rows_aot", "rollout_second_soromox_1_row", "soromox_open_loop")
     for rows in (1, 4096):
         for mode in ("off", "aot"):
-            arm, seconds = plant(rows), 10.0 if mode == "aot" and rows == 1 else 0.5
+            seconds = 10.0 if mode == "aot" and rows == 1 else few if rows == 4096 else 0.5
+            arm = plant(rows)
 
             def hanging(arm: Any = arm, seconds: float = seconds, mode: str = mode) -> Row:
                 arm.settled(0.01, 0.005, mode)
@@ -255,14 +272,14 @@ def main() -> None:
     """Runs the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", default="speed.json", help="where the numbers go (default: %(default)s)")
-    parser.add_argument("--quick", action="store_true", help="a fifth of the time a row, for a first look")
+    parser.add_argument("--quick", action="store_true", help="fewer rows, each in a fifth of the time")
     parser.add_argument("--only", help="only rows whose name holds this")
     parser.add_argument("--device", default="cpu", help="of the eager rows (default: %(default)s)")
     parser.add_argument("--threads", type=int, default=os.cpu_count() or 1,
                         help="for batches above 1 (default: all, %(default)s)")  # fmt: skip
     options = parser.parse_args()
     options.budget = 0.4 if options.quick else 2.0
-    table = Table(options.only)
+    table = Table(options.only, options.quick)
     with torch.no_grad():
         table.add("cold_start", 1, 1, cold_start)
         control_steps(table, options)

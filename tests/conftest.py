@@ -41,6 +41,7 @@ LONG = (
     "tests/test_tutorials.py",
     "viewing/test_pages.py",
     "examples/test_learning_examples.py",
+    "examples/test_reach_ahead.py",
     "examples/test_tune_gains.py",
     "model/test_models_soromox.py",
     "model/test_soromox.py",

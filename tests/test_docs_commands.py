@@ -58,7 +58,7 @@ UNCHECKED_COMMANDS: dict[str, str] = {
 """Command -> why it is not checked."""
 
 UNRUN_BLOCKS: dict[str, str] = {
-    "docs/environments.md 3": "trains for minutes; tests/envs/test_libraries.py runs the adapter",
+    "docs/environments.md 4": "trains for minutes; tests/envs/test_libraries.py runs the adapter",
     "docs/gradients.md 2": "builds libraries; tests/native/test_gradient.py does",
     "docs/report.md 1": "pandas is not among the dev requirements, and the sweep is the reader's",
     "docs/speed.md 1": "builds a library for half a minute; tests/native/test_steps.py calls one",
@@ -73,9 +73,9 @@ NEEDS = {
     "skrl_reach.py": "skrl",
     "model_files.py": "mujoco",
     "docs/messages.md 1": "rosbags",
-    "docs/environments.md 4": "torchrl",
-    "docs/environments.md 5": "skrl",
-    "docs/environments.md 6": "minari",
+    "docs/environments.md 5": "torchrl",
+    "docs/environments.md 6": "skrl",
+    "docs/environments.md 7": "minari",
 }
 """What a command holds, or a block -> the package that it cannot do without."""
 

@@ -9,7 +9,7 @@ from apcc_torch.composition.build import Builder
 from apcc_torch.composition.run_settings import ForcedRunSettings
 from apcc_torch.control.composite_controller import CompositeController
 from apcc_torch.control.controller import APCCController
-from apcc_torch.errors import ConfigError
+from apcc_torch.control.lookahead_refusal import LookaheadRefusal
 from apcc_torch.model.dynamics_regressor import PARAMETERS
 from apcc_torch.part import part_of
 
@@ -25,8 +25,7 @@ def with_dynamics(build: Builder, controller: APCCController) -> APCCController 
     assert isinstance(config, ForcedRunSettings)  # the only runs with a law of the dynamics
     if config.dynamics_law is None:
         return controller
-    if config.lookahead is not None:
-        raise ConfigError("a look ahead knows no feed-forward of forces: dynamics_law or lookahead must be none")
+    LookaheadRefusal.DYNAMICS_LAW.check(config.lookahead is not None)
     composite: CompositeController = part_of(config.dynamics_law)(controller, None, None, config.dynamics_law)
     return build.placed(composite)
 

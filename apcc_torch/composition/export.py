@@ -20,6 +20,7 @@ from apcc_torch.composition.run_settings import (
 from apcc_torch.composition.unread import Unread, of_a_run
 from apcc_torch.control.composite_controller import CompositeController
 from apcc_torch.control.estimate_covariance import SensorNoise
+from apcc_torch.control.lookahead_refusal import LookaheadRefusal
 from apcc_torch.control.pid import TendonPID
 from apcc_torch.control.shape_law import ShapeLaw
 from apcc_torch.errors import ConfigError
@@ -83,8 +84,7 @@ def parts(settings: ExportSettings) -> Parts:
         ConfigError, ValueRangeError: A setting has no meaning.
     """
     real = PRECISIONS[settings.precision]
-    if settings.lookahead is not None:
-        raise ConfigError("a library holds no look ahead: lookahead must be none")
+    LookaheadRefusal.LIBRARY.check(settings.lookahead is not None)
     build = Builder(settings.changed(dtype="float64" if real == torch.float64 else "float32"))
     controller: Any = with_dynamics(build, build.controller())
     pi_hat, sensors = build.first_estimate(), build.sensors_at()

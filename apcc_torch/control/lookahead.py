@@ -137,7 +137,7 @@ class Lookahead(Part):
         own = self.cost(now, middle.unsqueeze(-3), outlook, run)[..., 0]
         status = torch.where(own < alone, int(AheadStatus.FOLLOWED), int(AheadStatus.NOT_BETTER))
         status = torch.where(torch.isfinite(alone) | torch.isfinite(own), status, int(AheadStatus.NOT_FINITE))
-        followed = (status == AheadStatus.FOLLOWED)[..., None, None]
+        followed = (status == int(AheadStatus.FOLLOWED))[..., None, None]
         return Way(torch.where(followed, middle, 0.0), status, torch.minimum(own, alone), alone)
 
 

@@ -13,12 +13,13 @@ from apcc_torch.control.asked import Asked
 from apcc_torch.control.control_settings import ControlSettings
 from apcc_torch.control.controller import APCCController
 from apcc_torch.control.lookahead import Lookahead
+from apcc_torch.control.lookahead_refusal import LookaheadRefusal
 from apcc_torch.control.lookahead_settings import LookaheadSettings
 from apcc_torch.control.obstacles import Obstacle
 from apcc_torch.control.predicted_loop import Outlook, Predicted, PredictedLoop
 from apcc_torch.control.step_io import Command, ControllerState, Measurement, Target, elapsed
-from apcc_torch.errors import ConfigError
 from apcc_torch.estimation.feedback import FeedbackStatus
+from apcc_torch.model.abscissae import decouple, section_fractions
 from apcc_torch.model.arm import Arm
 from apcc_torch.model.backbone import PCCBackbone
 from apcc_torch.native.compiled import Step, compiled
@@ -70,12 +71,10 @@ class LookaheadController(APCCController):
     ) -> None:
         super().__init__(*parts, **settings)
         s = LookaheadSettings() if lookahead is None else lookahead
-        if self.routing is None:
-            raise ConfigError("a look ahead needs a tendon routing")
-        if self.pressure is not None:
-            raise ConfigError("a look ahead predicts tendons: arm.chambers must be null, or lookahead none")
-        if not isinstance(self.backbone, PCCBackbone):
-            raise ConfigError("a look ahead needs a model of constant-curvature sections, model=pcc")
+        LookaheadRefusal.NO_TENDONS.check(self.routing is None)
+        LookaheadRefusal.CHAMBERS.check(self.pressure is not None)
+        LookaheadRefusal.MODEL.check(not isinstance(self.backbone, PCCBackbone))
+        assert isinstance(self.backbone, PCCBackbone) and self.routing is not None  # refused otherwise
         # A shape is known in pieces of the sections, and what the load does to them moves the tip by centimetres.
         with self.backbone.base_rotation.device:  # where numbers become tensors
             dynamics = of.dynamics(1 if self.shape is None else self.shape.shape.refine)
@@ -91,8 +90,7 @@ class LookaheadController(APCCController):
         self.lookahead: Lookahead = part_of(s)(loop, s)
         self.rate_time, self.payload_limit = max(s.rate_time, 1e-9), s.payload_limit
         self.observer_gain, self.payload_time, self.force_time = s.observer_gain, s.payload_time, s.force_time
-        if row_tensors(self.lookahead):
-            raise ConfigError("a look ahead has one model for all rows: its settings and the controller's must be too")
+        LookaheadRefusal.ROWS.check(bool(row_tensors(self.lookahead)))
 
     @classmethod
     def on(cls, arm: Arm, control: ControlSettings, nominal: Tensor | None = None, **parts: Any) -> Self:
@@ -145,10 +143,17 @@ class LookaheadController(APCCController):
         off, J = ahead.x - chain.tip, chain.tip_jacobian()
         z = torch.zeros_like(off) if state.integral is None else state.integral
         x_d, xdot_d = (each.expand_as(off) for each in (target.x_d, target.xdot_d))
-        pi = self.driven_lengths(state.pi_hat).expand_as(state.pi_hat)
+        # Once a look: the model's lengths do not change over the horizon.
+        lengths = self.driven_lengths(state.pi_hat).expand_as(state.pi_hat)
+        assert self.routing is not None  # refused otherwise
+        B_hat = self.backbone.tendon_matrix(self.routing, lengths)
+        if self.shape is None:
+            apart = state.q_bar - look.loop.sections(ahead.q)
+        else:
+            apart = self.backbone.coordinates.on_elongations(look.loop.lengths - lengths)
         edot = xdot_d - (J @ ahead.rate.unsqueeze(-1)).squeeze(-1)
         now = Predicted(ahead.q, ahead.rate, state.q_d, ahead.y, x_d - ahead.x, edot, zero, zero)
-        outlook = Outlook(x_d, xdot_d, z, off, pi, ahead.payload, ahead.d)
+        outlook = Outlook(x_d, xdot_d, z, off, apart, B_hat, ahead.payload, ahead.d)
         way = look(now, outlook, look.shifted(ahead.knots, ahead.age), ahead.number, run)
         return state._replace(ahead=ahead._replace(knots=way.knots, age=zero, next=way.status, number=ahead.number + 1))
 
@@ -161,7 +166,8 @@ class LookaheadController(APCCController):
         """qdot (..., n) of Eq. (16) with the departure that waits, and no `Command.limits` of its own."""
         ahead, e = asked.state.ahead, asked.e
         assert ahead is not None  # of `initial_state`
-        waits = ahead.next == AheadStatus.FOLLOWED
+        # As a number: torch.compile does not compare tensors with an enumeration.
+        waits = ahead.next == int(AheadStatus.FOLLOWED)
         departure = self.lookahead.loop.departure(ahead.knots, ahead.age + asked.dt)
         departure = torch.where(waits.unsqueeze(-1), departure, 0.0)
         wanted = asked.target.xdot_d.expand_as(e) + departure[..., :3]
@@ -169,11 +175,20 @@ class LookaheadController(APCCController):
         return self.inverse_kinematics(J, e, wanted, asked.q, asked.dt, asked.bounds, departure[..., 3:]), None
 
     def _pieces(self, state: ControllerState, pi_hat: Tensor) -> Tensor:
-        """q (..., n_f) of the arm's pieces, of a q_bar over rest lengths pi_hat (..., n_b), m, or of a shape."""
+        """q (..., n_f) of the arm's pieces, of a q_bar over rest lengths pi_hat (..., n_b), m, or of a shape.
+
+        The arm's own sections have what q_bar says of their material, by algorithm 1: the model's may begin elsewhere.
+        """
         loop = self.lookahead.loop
-        if self.shape is None or state.shape is None:
-            return loop.spread(state.q_bar + self.backbone.coordinates.on_elongations(pi_hat - loop.lengths))
-        return self.shape.shape.configuration(state.shape.shape)
+        if self.shape is not None and state.shape is not None:
+            return self.shape.shape.configuration(state.shape.shape)
+        ends = loop.lengths.cumsum(-1)
+        before = section_fractions(*decouple(ends, pi_hat), self.backbone.n_sections)
+        shares = before.diff(dim=-2, prepend=torch.zeros_like(before[..., :1, :]))
+        q = (shares @ state.q_bar.unflatten(-1, (-1, 3))).flatten(-2)
+        # Where the model ends before the arm, its tip is the arm's: what is missing is elongation.
+        short = (pi_hat.sum(-1, keepdim=True) - ends[..., -1:]).clamp(max=0.0)
+        return loop.spread(torch.cat((q[..., :-1], q[..., -1:] + short), dim=-1))
 
     def _seen(self, ahead: Ahead, q: Tensor, x: Tensor, dt: Tensor) -> Ahead:
         """`ahead` with what an arm at q (..., n_f), its tip at x (..., 3), tells after dt (...) s.

@@ -44,15 +44,17 @@ class Outlook(NamedTuple):
     """What is known and wanted of an arm now, and stays so over the horizon.
 
     x_d, xdot_d: (..., 3) target, m, m/s. z: (..., 3) integral beside its error, m. off: (..., 3) m, of the measured tip
-    from the model's. pi: (..., n_b) m, the lengths with which q_d is mapped to the tendons. payload: (...) kg.
-    d: (..., n_f) generalized force that nothing else explains, N m and N.
+    from the model's. apart: (..., n) rad and m, of the controller's q from that of the arm's sections, which may be of
+    other lengths. B_hat: (..., n, n_a) with which q_d is mapped to the tendons. payload: (...) kg. d: (..., n_f)
+    generalized force that nothing else explains, N m and N.
     """
 
     x_d: Tensor
     xdot_d: Tensor
     z: Tensor
     off: Tensor
-    pi: Tensor
+    apart: Tensor
+    B_hat: Tensor
     payload: Tensor
     d: Tensor
 
@@ -68,7 +70,7 @@ class PredictedLoop(Part):
         backbone: The controller's model.
         inverse_kinematics: Its Eq. (16).
         dynamics: The arm, each of the model's sections divided into equal pieces, or into one.
-        routing: Its tendons.
+        routing: Its tendons, as they act on it.
         *settings, **changes: See `PredictedLoopSettings`.
         obstacles: To be kept clear of, beside `spheres`.
         bend_bound, elongation_bound, reference_damping: Of the controller.
@@ -117,7 +119,6 @@ class PredictedLoop(Part):
         self.backbone = backbone
         self.inverse_kinematics = inverse_kinematics
         self.dynamics = dynamics
-        self.routing = routing
         self.reference_damping = reference_damping
         hold_numbers(self, bend_bound=bend_bound, elongation_bound=elongation_bound)
         listed = [(dynamics.lengths.new_tensor(each[:3]), float(each[3])) for each in s.spheres]
@@ -140,7 +141,8 @@ class PredictedLoop(Part):
         q, q_d, zero = (lengths.new_zeros(size) for size in ((self.arm.n,), (self.backbone.n,), ()))
         point, departure = lengths.new_zeros(3), lengths.new_zeros(knots, 3 + self.backbone.n)
         now = Predicted(q, q, q_d, lengths.new_zeros(self.B.shape[-1]), point, point, zero, zero)
-        return now, departure, Outlook(point, point, point, point, lengths, zero, q)
+        B_hat = lengths.new_zeros(self.backbone.n, self.B.shape[-1])
+        return now, departure, Outlook(point, point, point, point, q_d, B_hat, zero, q)
 
     def placed(self, q: Tensor) -> Placed:
         """The tip of an arm at q (..., n_f), and how it moves with it."""
@@ -154,10 +156,6 @@ class PredictedLoop(Part):
         """q (..., n_f) of sections' strains (..., n), of which each piece takes an equal part."""
         parts = (q.unflatten(-1, (-1, 1, 3)) / self.refine).expand(*q.shape[:-1], -1, self.refine, 3)
         return parts.flatten(-3)
-
-    def driven(self, q: Tensor, pi: Tensor) -> Tensor:
-        """The controller's q (..., n) of an arm at q (..., n_f): of rest lengths pi (..., n_b), m, as long."""
-        return self.sections(q) - self.backbone.coordinates.on_elongations(pi - self.lengths)
 
     def departure(self, knots: Tensor, time: Tensor) -> Tensor:
         """(v, w) (..., 3 + n) of knots (..., k, 3 + n) at a time (...) s from now; beyond the horizon the last."""
@@ -174,7 +172,7 @@ class PredictedLoop(Part):
             knots: (..., k, 3 + n) departure, m/s, rad/s and m/s.
             outlook: What is known and wanted.
         """
-        dt, model = self.dt, self.backbone
+        dt = self.dt
         chain = self.placed(now.q)
         J_f = chain.tip_jacobian()
         # Tendons move all pieces of a section alike.
@@ -185,14 +183,15 @@ class PredictedLoop(Part):
 
         asked = self.departure(knots, now.time)
         wanted, beside = outlook.xdot_d + asked[..., :3], asked[..., 3:]
-        q, step = self.driven(now.q, outlook.pi), torch.full_like(now.time, dt)
-        reference = ReferenceBounds.of(model.coordinates, self.bend_bound, self.elongation_bound)
+        q, step = self.sections(now.q) + outlook.apart, torch.full_like(now.time, dt)
+        reference = ReferenceBounds.of(self.backbone.coordinates, self.bend_bound, self.elongation_bound)
         bounds = None if reference is None else reference.rates(now.q_d, step)
         rate = self.inverse_kinematics(J, e + outlook.z, wanted, q, step, bounds, beside)
         q_d = now.q_d + dt * rate
         if reference is not None:
             q_d = reference.held(q_d)
-        y = model.tendon_lengths(self.routing, q_d - self.reference_damping * self.sections(now.qdot), outlook.pi)
+        damped = q_d - self.reference_damping * self.sections(now.qdot)
+        y = (outlook.B_hat.mT @ damped.unsqueeze(-1)).squeeze(-1)
         u = self.K_P * (y - y_now) + self.K_D * ((y - now.y) / dt - ydot_now)
         tau = outlook.d + (self.B @ (u - self.tendon_damping * ydot_now).unsqueeze(-1)).squeeze(-1)
         square = self.B @ self.B.mT

@@ -10,7 +10,7 @@ reach, track, shape   what each task observes, does and rewards: start here
 vector_env            the batch, with every argument; single_env: one row of it
 simulator             one step as a pure function of state and action
 tasks, actions        goals and errors; what an action means
-kinematic, dynamic    the arms; adaptation: the controller in the loop
+kinematic, dynamic    the arms; adaptation: the controller in the loop; looking_ahead: for the next step
 sensing               late and noisy readings
 randomisation         what is drawn at a reset; streams: random numbers that belong to a row
 places                material points of an arm; backbone_points: where they are on many arms, fast

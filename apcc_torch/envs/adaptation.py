@@ -13,6 +13,8 @@ from torch.func import functional_call
 from apcc_torch.control.adaptation import AdaptiveLaw, AdaptiveLawSettings, NormalisedLawSettings
 from apcc_torch.control.control_settings import ControlSettings
 from apcc_torch.control.controller import APCCController
+from apcc_torch.control.lookahead_controller import LookaheadController
+from apcc_torch.control.lookahead_refusal import LookaheadRefusal
 from apcc_torch.control.step_io import Command, ControllerState, Measurement, Target
 from apcc_torch.envs.actions import ActionSettings
 from apcc_torch.envs.backbone_points import Positions
@@ -21,6 +23,7 @@ from apcc_torch.errors import ConfigError
 from apcc_torch.model.abscissae import decouple, section_fractions
 from apcc_torch.model.arm import Arm
 from apcc_torch.model.backbone import PCCBackbone
+from apcc_torch.native.compiled import Step
 from apcc_torch.part import Part, part_of
 from apcc_torch.settings import OURS, resolved, setting
 from apcc_torch.spread import ALONG
@@ -48,11 +51,11 @@ class AdaptiveLoopSettings(ActionSettings):
     dynamics: str = setting(
         "kinematic", "", OURS, "kinematic, the arm follows q_d exactly; dynamic, section V-B's plant", choices=DYNAMICS
     )
-    control: Mapping[str, Any] = setting(
+    control: Mapping[str, Any] | ControlSettings = setting(
         factory=dict,
         unit="",
         source=OURS,
-        meaning="adaptation: what differs on the controller, by name as for `APCCController.for_arm`",
+        meaning="adaptation: what differs on the controller, by name as for `APCCController.for_arm`, or all of it",
     )
 
     def check(self) -> None:
@@ -65,14 +68,30 @@ class AdaptiveLoopSettings(ActionSettings):
             raise ConfigError("action='pressures' needs dynamics='dynamic': a kinematic arm has no mass to be pushed")
         if self.action == "adaptation" and not isinstance(control.adaptation, AdaptiveLawSettings):
             raise ConfigError("adaptation must be an AdaptiveLaw: the action sets its gamma")
+        if control.feedback.mode != "position":
+            raise ConfigError("feedback.mode must be position: an environment's sensors tell no orientations")
         if control.lookahead is not None:
-            raise ConfigError("an environment's controller does not look ahead: lookahead must be none")
+            LookaheadRefusal.NO_CONTROLLER.check(self.action != "adaptation")
+            LookaheadRefusal.KINEMATIC.check(self.dynamics == "kinematic")
 
     def control_settings(self) -> ControlSettings:
         """The controller's settings."""
         bounds = {"bend_bound": self.bend_bound, "elongation_bound": self.elongation_bound}
+        if isinstance(self.control, ControlSettings):
+            return resolved(ControlSettings, (self.control,), {}).with_keys(bounds)
         shipped = ControlSettings().with_keys({**CONTROL, **BY_DYNAMICS[self.dynamics]})
         return shipped.with_keys({**bounds, **self.control})
+
+
+class _Looks(Part):
+    """A look ahead as a module, so that `functional_call` can give each row its own racks."""
+
+    def __init__(self, controller: LookaheadController) -> None:
+        super().__init__()
+        self.controller = controller
+
+    def forward(self, state: ControllerState, target: Target, run: Step | None) -> ControllerState:
+        return self.controller.look_ahead(state, target, run)
 
 
 class AdaptiveLoop(Part):
@@ -85,6 +104,9 @@ class AdaptiveLoop(Part):
         arm: The arm.
         like: Dtype and device.
         *settings, **changes: See `AdaptiveLoopSettings`.
+
+    Attributes:
+        looks: Whether the controller looks ahead.
     """
 
     settings_type = AdaptiveLoopSettings
@@ -103,7 +125,8 @@ class AdaptiveLoop(Part):
         sensors, routing, base = sensors_of(arm), arm.routing(), arm.base_rotation().to(like)
         seen_arm = arm.changed(sensors=sensors.on(lengths), true_sensors=None)
         control = s.control_settings().with_keys({"elongation_bound": s.elongation(arm)})
-        self.controller = APCCController.on(seen_arm, control).to(like)
+        self.looks = control.lookahead is not None
+        self.controller = (LookaheadController if self.looks else APCCController).on(seen_arm, control).to(like)
         self.routed = s.dynamics == "dynamic"
         if not self.routed:
             self.controller.routing = None
@@ -133,7 +156,10 @@ class AdaptiveLoop(Part):
         whole = parts.sum(-1)
         stretch = ((apart - whole).unsqueeze(-1) * (parts / whole.clamp(min=1e-9).unsqueeze(-1))).sum(-2)
         q = self.controller.backbone.coordinates.on_elongations(stretch)
-        return self.controller.initial_state(q, pi_hat)._replace(q_d=torch.zeros_like(q))
+        state = self.controller.initial_state(q, pi_hat)._replace(q_d=torch.zeros_like(q))
+        if state.ahead is not None:
+            state = state._replace(ahead=state.ahead._replace(y=torch.zeros_like(state.ahead.y)))
+        return state
 
     def forward(
         self, state: ControllerState, action: Tensor, seen: Tensor, time: Tensor, target: Target, lengths: Tensor
@@ -156,14 +182,40 @@ class AdaptiveLoop(Part):
             "feedback.abscissae": X,
         }
         if self.routed:
-            gains["routing.anchors"] = self.racks.on(true)
-            gains["routing.starts"] = self.starts.on(true)
+            gains |= self._racks(true, "routing")
         upright = torch.eye(4, dtype=seen.dtype, device=seen.device)[:, :3].expand(*seen.shape[:-1], 4, 3)
         place = torch.nn.functional.pad(seen, (0, 1), value=1.0)
         T = torch.cat((upright, place.unsqueeze(-1)), dim=-1)  # orientations are not used
         arguments = (state, Measurement(T, time), target)
         later: tuple[ControllerState, Command] = functional_call(self.controller, gains, arguments)
         return later
+
+    def look_ahead(
+        self, state: ControllerState, target: Target, lengths: Tensor, run: Step | None = None
+    ) -> ControllerState:
+        """The state with a departure from Eq. (16) for its next step; see `LookaheadController.look_ahead`.
+
+        What is rolled out is the nominal arm, with q_d mapped to the tendons as the controller maps it.
+
+        Args:
+            state: From `forward`, where the controller looks ahead.
+            target: That it aimed at.
+            lengths: (N, n_b) the sections' true lengths over the nominal ones, which place the racks.
+            run: From `rollouts`; None to roll out eagerly.
+        """
+        assert isinstance(self.controller, LookaheadController)  # see `looks`
+        racks = self._racks(self.nominal * lengths, "controller.routing")
+        later: ControllerState = functional_call(_Looks(self.controller), racks, (state, target, run))
+        return later
+
+    def rollouts(self, compile: str, rows: int) -> Step:
+        """See `LookaheadController.rollouts`; of a controller that looks ahead."""
+        assert isinstance(self.controller, LookaheadController)  # see `looks`
+        return self.controller.rollouts(compile, rows)
+
+    def _racks(self, true: Tensor, owner: str) -> dict[str, Tensor]:
+        """Where the tendons of arms with lengths (N, n_b), m, end and begin, as tensors of a routing's owner."""
+        return {f"{owner}.anchors": self.racks.on(true), f"{owner}.starts": self.starts.on(true)}
 
     def model_points(self, state: ControllerState, lengths: Tensor) -> Positions:
         """Where the virtual model has the middles and ends of the true sections, and the sensors, by algorithm 1.

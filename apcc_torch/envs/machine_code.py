@@ -10,6 +10,7 @@ from torch import Tensor, nn
 from apcc_torch.control.step_io import ControllerState
 from apcc_torch.envs.dynamic import DynamicArm
 from apcc_torch.envs.kinematic import KinematicState
+from apcc_torch.envs.looking_ahead import RowsAhead, plans
 from apcc_torch.envs.outcome import Outcome, View
 from apcc_torch.envs.prepared import Draw, Listed, Prepared
 from apcc_torch.envs.row_trees import map_rows
@@ -154,6 +155,7 @@ class ByMachineCode:
         for function in (self._transition, self._beginning):
             if function is not None:
                 function.program(function.lanes(rows))
+        self._ahead = RowsAhead.of(simulator, rows, "aot")
         self._standing: Standing | None = None
         self._now: EnvState | None = None
 
@@ -178,6 +180,9 @@ class ByMachineCode:
             late = self.simulator.sensing.longest > 0
             self._standing = Standing(self._transition, state, action, prepared, late)
         later, outcome, again = self._standing(action, prepared)
+        if self._ahead is not None:
+            # Into the rows' own memory: from there the next step begins.
+            map_rows(Tensor.copy_, plans(later), self._ahead(later, outcome.truncated))
         self._now = later if stream is state.stream else later._replace(stream=stream)
         return self._now, outcome, again
 

@@ -61,7 +61,7 @@ class ReachEnv(ArmEnv):
     | `adaptation` | 0 … 2 | the A-PCC controller drives the arm; Gamma is (9, 4.25, 3.5) 10^a | ten times |
 
     The first is the default. In every mode q_d stays within 3 rad and 0.08 m. With `adaptation` the target is the
-    controller's too.
+    controller's too, and on a dynamic arm it looks ahead with `control={"lookahead": LookaheadSettings()}`.
 
     ## Observation space
 

@@ -6,6 +6,7 @@ from typing import Protocol
 
 from torch import Tensor
 
+from apcc_torch.envs.looking_ahead import RowsAhead, with_plans
 from apcc_torch.envs.machine_code import ByMachineCode
 from apcc_torch.envs.outcome import Outcome, View
 from apcc_torch.envs.simulator import EnvState, Simulator
@@ -30,11 +31,12 @@ class Stepping(Protocol):
 
 
 class ByTorch:
-    """The simulator as it is, or its step through `torch.compile`."""
+    """The simulator as it is, or its step through `torch.compile`; so many rows where they look ahead."""
 
-    def __init__(self, simulator: Simulator, inductor: bool) -> None:
+    def __init__(self, simulator: Simulator, inductor: bool, rows: int) -> None:
         self.simulator = simulator
         self._step = TorchStep(simulator, inductor)
+        self._ahead = RowsAhead.of(simulator, rows, "inductor" if inductor else "off")
 
     def begun(self, stream: Stream) -> tuple[EnvState, View]:
         """See `Stepping`."""
@@ -44,6 +46,8 @@ class ByTorch:
     def __call__(self, state: EnvState, action: Tensor) -> tuple[EnvState, Outcome, Tensor]:
         """See `Stepping`."""
         later, outcome = self._step(state, action)
+        if self._ahead is not None:
+            later = with_plans(later, self._ahead(later, outcome.truncated))
         return later, outcome, outcome.view.observation.clone()
 
     def snapshot(self, state: EnvState) -> EnvState:
@@ -61,4 +65,4 @@ def stepping(simulator: Simulator, rows: int, mode: str) -> Stepping:
     if mode == "auto" and simulator.nominal.device.type != "cpu":
         mode = "inductor"
     made = machine_code(lambda: ByMachineCode(simulator, rows), mode, "the environment's step")
-    return ByTorch(simulator, mode == "inductor") if made is None else made
+    return ByTorch(simulator, mode == "inductor", rows) if made is None else made

@@ -128,8 +128,13 @@ def start_of(of: LookaheadController, state: ControllerState, aim: Target) -> tu
     assert a is not None
     zero, still = torch.zeros_like(a.age), torch.zeros_like(aim.x_d)
     now = Predicted(a.q, torch.zeros_like(a.q), state.q_d, a.y, aim.x_d - a.x, still, zero, zero)
-    lengths = LENGTHS.expand(*zero.shape, 2)
-    return now, Outlook(aim.x_d, still, still, still, lengths, zero, torch.zeros_like(a.q))
+    return now, outlook_of(aim.x_d, zero, torch.zeros_like(a.q))
+
+
+def outlook_of(x_d: Tensor, payload: Tensor, d: Tensor) -> Outlook:
+    """Targets (R, 3) that rest, seen by arms of the model's own lengths."""
+    still, apart, B_hat = torch.zeros_like(x_d), torch.zeros(len(x_d), 6, dtype=D), ARM.routing().matrix(LENGTHS)
+    return Outlook(x_d, still, still, still, apart, B_hat.expand(len(x_d), 6, -1), payload, d)
 
 
 def test_no_way_that_is_taken_costs_more_than_eq_16() -> None:
@@ -167,9 +172,8 @@ def test_the_model_moves_as_the_arm_that_it_is_of() -> None:
     y = log.y_d[k + 1]  # told in the period that begins
     rate = (log.q_true[k] - log.q_true[k - 1]) / 0.02
     zero, still = torch.zeros(3, dtype=D), torch.zeros(3, 3, dtype=D)
-    lengths = LENGTHS.expand(3, 2)
     now = Predicted(q_true, rate, q_d, y, X_D - log.x[k], still, zero, zero)
-    outlook = Outlook(X_D, still, still, still, lengths, zero, torch.zeros_like(q_true))
+    outlook = outlook_of(X_D, zero, torch.zeros_like(q_true))
     later = of.rollouts("off")(now, torch.zeros(3, 3, 9, dtype=D), outlook, repeats=15)
     tip = ARM.backbone().tip(later.q, LENGTHS)
     moved = (log.x[k + 15] - log.x[k]).norm(dim=-1)
@@ -181,6 +185,27 @@ def test_the_model_moves_as_the_arm_that_it_is_of() -> None:
 def test_a_loop_that_looks_ahead_is_sooner_there() -> None:
     plain, ahead = (((log.x_d - log.x).norm(dim=-1))[-1] for log in (simulated(False), simulated(True)))
     assert (ahead < 0.8 * plain).all()
+
+
+@pytest.mark.parametrize("pi", [(0.2, 0.25), (0.23, 0.25), (0.17, 0.28), (0.17, 0.24)])
+def test_the_arms_own_sections_are_told_whatever_lengths_the_model_has(pi: tuple[float, float]) -> None:
+    """Strain is what stretches of material have: summed here over a fine grid of it. A model that ends too soon has
+    its tip where the arm's is.
+    """
+    of, q_bar, lengths = controller(), bent()[0], torch.tensor(pi, dtype=D)
+    N = 45_000
+    X = (np.arange(N) + 0.5) * 0.45 / N
+    begins = np.array([0.0, pi[0]])
+    section = np.searchsorted(begins, X, side="right") - 1
+    strain = q_bar.unflatten(-1, (2, 3)).numpy() / np.array(pi)[:, None]
+    density = strain[section] * (sum(pi) > X)[:, None] * 0.45 / N
+    want = np.stack([density[X < 0.2].sum(0), density[X > 0.2].sum(0)]).reshape(-1)
+    want[-1] += min(sum(pi) - 0.45, 0.0)
+    state = of.initial_state(q_bar, lengths)
+    assert state.ahead is not None
+    np.testing.assert_allclose(state.ahead.q.numpy(), want, atol=2e-6)
+    if pi == (0.2, 0.25):
+        np.testing.assert_allclose(state.ahead.q.numpy(), q_bar.numpy(), atol=1e-15)
 
 
 def test_the_payload_is_what_the_forces_leave() -> None:
@@ -267,11 +292,11 @@ def test_the_law_that_ships_looks_ahead_too() -> None:
 
 
 def test_what_cannot_look_ahead_is_refused() -> None:
-    with pytest.raises(ConfigError, match=r"arm\.chambers must be null"):
+    with pytest.raises(ConfigError, match=r"lookahead must be none where arm\.chambers are given: its rollouts are"):
         LookaheadController.for_arm(Arm(lengths=[0.2, 0.25], chambers=Chambers()), adaptation=None)
-    with pytest.raises(ConfigError, match="model=pcc"):
+    with pytest.raises(ConfigError, match="lookahead must be none where model is not pcc"):
         LookaheadController.for_arm(ARM, adaptation=None, model=AffineBackbone.settings_type())
-    with pytest.raises(ConfigError, match="one model for all rows"):
+    with pytest.raises(ConfigError, match="differ from row to row: its rollouts have one model for all rows"):
         LookaheadController.for_arm(ARM, adaptation=None, null_gain=torch.tensor([0.1, 0.2]))
     with pytest.raises(ConfigError, match=r"spheres\[0\] must have a positive radius"):
         LookaheadSettings(spheres=((0.0, 0.0, 0.0, 0.0),))

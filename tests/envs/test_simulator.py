@@ -7,16 +7,18 @@ from typing import Any
 import pytest
 import torch
 
+from apcc_torch.control.lookahead_settings import LookaheadSettings
 from arm_rows import actions, make
 from laws import bits, leaves
 
 DRAWN = {"lengths": (0.9, 1.1), "noise": (0.0, 1e-3), "delay": (0, 2)}
+AHEAD = {"dynamics": "dynamic", "action": "adaptation", "control": {"lookahead": LookaheadSettings(samples=4, steps=2)}}
 
 
 @pytest.mark.parametrize(
     "given",
-    [{}, {"action": "task_velocity"}, {"action": "adaptation"}, {"dynamics": "dynamic", **DRAWN}],
-    ids=["default", "task_velocity", "adaptation", "dynamic_drawn"],
+    [{}, {"action": "task_velocity"}, {"action": "adaptation"}, {"dynamics": "dynamic", **DRAWN}, AHEAD],
+    ids=["default", "task_velocity", "adaptation", "dynamic_drawn", "ahead"],
 )
 def test_a_step_is_one_graph(given: dict[str, Any]) -> None:
     """torch's compiler traces it whole, without a break, and the traced step gives the same bits."""
