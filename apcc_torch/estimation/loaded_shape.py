@@ -9,8 +9,8 @@ c (..., n) the strains of the sections and m the load at the tip, kg: at rest P 
 all pieces of a section alike. (c, m) is the maximum a posteriori of what is measured, poses, positions, orientations
 with or without a heading, curvature and tendon lengths y = B_f^T q_f, of a wide prior on c, and of a load that changes
 slowly. Before anything is measured, c is that of the arm as it was built, under
-tensions of which nothing is known: with F = S^T K^-1 B_f, bends scatter as F F^T does. A tendon bends every section
-that it passes, so sections between which no sensor sits bend alike.
+tensions of which nothing is known: with F = S^T K^-1 B_f, bends scatter as F D^2 F^T does, D how far tensions scatter
+(`tension_prior`). A tendon bends every section that it passes, so sections between which no sensor sits bend together.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from apcc_torch.estimation.inertial_rows import inertial_rows
 from apcc_torch.estimation.loaded_shape_settings import LoadedShapeSettings
 from apcc_torch.estimation.pose_rows import pose_rows, tendon_rows
 from apcc_torch.estimation.shape_state import ShapeState
-from apcc_torch.estimation.tension_prior import tension_information, untold
+from apcc_torch.estimation.tension_prior import tension_information, tension_scatter, untold
 from apcc_torch.linalg import scaled_within, solve_spd
 from apcc_torch.model.arm import Arm
 from apcc_torch.model.arm_rest import strain_at_rest
@@ -60,6 +60,7 @@ class LoadedShape(FinerArm, Part):
         abscissae: (..., k) of the sensors, m.
         *settings, **changes: See `LoadedShapeSettings`.
         rest: (..., n) strains of the sections before anything is measured, rad and m; None for those of a straight arm.
+        tensions: (n_a,) how its tendons' tensions scatter beside each other before anything is measured; None for alike.
         kinds: What the sensors measure; None for poses.
         curvature_places: (..., n_c) abscissae where curvature is measured, m; None for nowhere.
 
@@ -100,6 +101,7 @@ class LoadedShape(FinerArm, Part):
         abscissae: Tensor,
         *settings: Any,
         rest: Tensor | None = None,
+        tensions: Tensor | None = None,
         kinds: SensorKinds | None = None,
         curvature_places: Tensor | None = None,
         **changes: Any,
@@ -115,7 +117,9 @@ class LoadedShape(FinerArm, Part):
         if rest is None:
             rest = torch.zeros_like(B[..., : 3 * self.n_sections, 0])
         check_tensor("rest", rest, (3 * self.n_sections,))
-        information = tension_information(B, dynamics.stiffness_diagonal.to(B), s.refine)
+        tensions = torch.ones_like(B[..., 0, :]) if tensions is None else tensions.to(B)
+        lengths = dynamics.lengths.to(B).unflatten(-1, (-1, s.refine)).sum(-1)
+        information = tension_information(B, dynamics.stiffness_diagonal.to(B), s.refine, lengths, tensions)
         self.kinds = kinds
         places = None if curvature_places is None else curvature_places.to(dynamics.lengths)
         weights = None if places is None else curvature_weights(dynamics.lengths, s.refine, places)
@@ -132,6 +136,7 @@ class LoadedShape(FinerArm, Part):
             arm.sensor_places(),
             settings,
             rest=strain_at_rest(arm),
+            tensions=tension_scatter(arm),
             kinds=arm.sensor_kinds(),
             curvature_places=curvature_places(arm),
         )
