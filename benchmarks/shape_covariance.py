@@ -41,7 +41,7 @@ ARMS = {
 
 
 class Covered(NamedTuple):
-    """Mean NEES of the strains, the load, the arm's middle, its tip and the arcs' lengths; half a 95 % band of the first."""
+    """Mean NEES of the strains, the load, the middle, the tip and the arcs' lengths; half a 95 % band of the first."""
 
     strains: float
     load: float

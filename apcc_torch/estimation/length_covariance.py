@@ -11,7 +11,7 @@ from apcc_torch.shapes import check_tensor
 STEPS = 20
 """Of the fit, in which it comes to rest on a shape near by."""
 REACH = 3.0**0.5
-"""How many deviations away shapes are tried: at the root of a normal number's kurtosis, squares have the right weight."""
+"""How many deviations away shapes are tried: the root of a normal number's kurtosis gives squares their weight."""
 
 
 def length_covariance(

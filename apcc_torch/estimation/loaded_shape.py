@@ -8,9 +8,9 @@ not. With S spreading a section's strains over its pieces, P = I - S S^+ and K, 
 c (..., n) the strains of the sections and m the load at the tip, kg: at rest P (K q_f + G) = 0, for tendons pull on
 all pieces of a section alike. (c, m) is the maximum a posteriori of what is measured, poses, positions, orientations
 with or without a heading, curvature and tendon lengths y = B_f^T q_f, of a wide prior on c, and of a load that changes
-slowly. Before anything is measured, c is that of the arm as it was built, under
-tensions of which nothing is known: with F = S^T K^-1 B_f, bends scatter as F D^2 F^T does, D how far tensions scatter
-(`tension_prior`). A tendon bends every section that it passes, so sections between which no sensor sits bend together.
+slowly. Before anything is measured, c is that of the arm as it was built, under tensions of which nothing is known:
+with F = S^T K^-1 B_f, bends scatter as F D^2 F^T does, D how far tensions do (`tension_prior`). A tendon bends every
+section that it passes, so sections between which no sensor sits bend together.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ class LoadedShape(FinerArm, Part):
         abscissae: (..., k) of the sensors, m.
         *settings, **changes: See `LoadedShapeSettings`.
         rest: (..., n) strains of the sections before anything is measured, rad and m; None for those of a straight arm.
-        tensions: (n_a,) how its tendons' tensions scatter beside each other before anything is measured; None for alike.
+        tensions: (n_a,) how its tendons' tensions scatter before anything is measured, over each other; None for alike.
         kinds: What the sensors measure; None for poses.
         curvature_places: (..., n_c) abscissae where curvature is measured, m; None for nowhere.
 
@@ -117,9 +117,8 @@ class LoadedShape(FinerArm, Part):
         if rest is None:
             rest = torch.zeros_like(B[..., : 3 * self.n_sections, 0])
         check_tensor("rest", rest, (3 * self.n_sections,))
-        tensions = torch.ones_like(B[..., 0, :]) if tensions is None else tensions.to(B)
-        lengths = dynamics.lengths.to(B).unflatten(-1, (-1, s.refine)).sum(-1)
-        information = tension_information(B, dynamics.stiffness_diagonal.to(B), s.refine, lengths, tensions)
+        K, lengths = dynamics.stiffness_diagonal.to(B), dynamics.lengths.to(B)
+        information = tension_information(B, K, s.refine, lengths, tensions)
         self.kinds = kinds
         places = None if curvature_places is None else curvature_places.to(dynamics.lengths)
         weights = None if places is None else curvature_weights(dynamics.lengths, s.refine, places)

@@ -34,7 +34,9 @@ def tension_scatter(arm: Arm) -> Tensor:
     return tension / tension.amax(-1, keepdim=True)
 
 
-def tension_information(B: Tensor, stiffness: Tensor, refine: int, lengths: Tensor, tensions: Tensor) -> Tensor:
+def tension_information(
+    B: Tensor, stiffness: Tensor, refine: int, lengths: Tensor, tensions: Tensor | None = None
+) -> Tensor:
     """Inverse covariance (..., n, n) of sections' strains under tensions that are independent.
 
     A tendon bends and shortens every section that it passes, so the strains of neighbours go together: c = F u with F
@@ -47,8 +49,8 @@ def tension_information(B: Tensor, stiffness: Tensor, refine: int, lengths: Tens
         B: (..., n_f, n_a) actuation matrix of the arm's pieces.
         stiffness: (..., n_f) K of the pieces, N m/rad and N/m.
         refine: Pieces of a section.
-        lengths: (..., n_b) of the sections, m.
-        tensions: (..., n_a) deviations, over each other, such as from `tension_scatter`.
+        lengths: (..., n_p) of the pieces, m.
+        tensions: (n_a,) deviations, over each other, such as from `tension_scatter`; None where all are alike.
 
     Example:
         >>> arm = Arm(lengths=[0.2, 0.2], racks=[0.4])
@@ -57,10 +59,12 @@ def tension_information(B: Tensor, stiffness: Tensor, refine: int, lengths: Tens
         >>> scatter[0, [0, 3]].round(decimals=2)
         tensor([1.0100, 1.0000], dtype=torch.float64)
     """
-    F = (B * tensions.unsqueeze(-2) / stiffness.unsqueeze(-1)).unflatten(-2, (-1, refine, 3)).sum(-3)
+    D = B if tensions is None else B * tensions.to(B)
+    F = (D / stiffness.unsqueeze(-1)).unflatten(-2, (-1, refine, 3)).sum(-3)
     bends = torch.cat((F[..., :2, :], torch.zeros_like(F[..., 2:, :])), dim=-2).flatten(-3, -2)  # (..., 3 n_b, n_a)
     soft = stiffness.unflatten(-1, (-1, refine, 3))[..., 2].reciprocal().sum(-1)
-    pulled, hung = (_outer(x / lengths.unsqueeze(-1)) for x in (F[..., 2, :], soft.unsqueeze(-1)))
+    own = lengths.unflatten(-1, (-1, refine)).sum(-1)
+    pulled, hung = (_outer(x / own.unsqueeze(-1)) for x in (F[..., 2, :], soft.unsqueeze(-1)))
     eye = torch.eye(bends.shape[-2], dtype=B.dtype, device=B.device)
     into = eye[2::3]
     stretch = _over_largest(_over_largest(pulled) + _over_largest(hung) + into @ into.mT)

@@ -55,7 +55,7 @@ def test_it_is_how_equilibria_under_random_tensions_and_loads_scatter(name: str,
     stretched = over_largest(over_largest(pulled.mT @ pulled) + over_largest(hung.mT @ hung) + own) + BESIDE**2 * own
     B = arm.routing().matrix(arm.refined(refine))
     stiffness = arm.dynamics(refine).stiffness_diagonal
-    believed = torch.linalg.inv(tension_information(B, stiffness, refine, L, tensions))
+    believed = torch.linalg.inv(tension_information(B, stiffness, refine, arm.refined(refine), tensions))
     own = torch.tensor([i for i in range(len(believed)) if i % 3 != 2])
     torch.testing.assert_close(believed[own][:, own], bent, rtol=0.0, atol=1e-10)
     torch.testing.assert_close(believed[2::3][:, 2::3], stretched, rtol=0.0, atol=1e-4)
