@@ -24,7 +24,7 @@ class LengthBoundsSettings(Settings):
         0.2, "", OURS, "smallest rest lengths over the nominal ones; null: no bound", rows="sections", above=0
     )
     upper: Numbers | None = setting(
-        2.0, "", OURS, "largest rest lengths over the nominal ones; null: no bound", rows="sections", above=0
+        5.0, "", OURS, "largest rest lengths over the nominal ones; null: no bound", rows="sections", above=0
     )
     reach: str = setting(
         "free",

@@ -15,7 +15,7 @@ from apcc_torch.part import Part, hold_rows
 from apcc_torch.settings import OURS, Setting, Settings, aligned, resolved, setting
 from apcc_torch.shapes import check_finite, check_tensor
 
-DAMPING = 1e-3
+DAMPING = 1e-4
 """Of a step, over the diagonal of its normal matrix."""
 LARGEST_STEP = 0.3
 """Largest change of a coordinate in one step, rad and m."""
@@ -30,7 +30,7 @@ class ArcFitSettings(Settings):
     """Settings of `ArcFit`."""
 
     curve_noise: Setting = setting(
-        5e-4,
+        1.5e-4,
         "",
         OURS,
         "how well the shape is known over the arm's length, a standard deviation",
@@ -45,11 +45,13 @@ class ArcFitSettings(Settings):
 class ArcFit(Part):
     """Fits a model to points of a curve: sections l_i = pi_i + dL_i whose lengths are drawn to the nominal ones,
 
-        V(q) = sum |p_j - x_j|^2 / (N (sigma L)^2) + sum ((l_i - L_i) / (rho L_i))^2,  L = sum L_i,
+        V(q) = sum |p_j - x_j|^2 / (N (sigma L)^2) + sum (c(l_i / L_i) / rho)^2,  L = sum L_i,
+        c(r) = r - 1 above 1, 1 - 1 / r below:  twice as long is as unlikely as half as long,
 
     p_j the N points and x_j the model's points that lie as far along it, over its length: the distances of Eq. (52)
     [Dalenberg]. How the curve is stretched does not matter. l alone counts: how much of it is rest length and how much
-    elongation, shape does not tell. A section that grows slides all points along the backbone; a step that leaves this
+    elongation, shape does not tell. To lose its length costs a section infinitely much, so the shape can count for far
+    more than the nominal lengths. A section that grows slides all points along the backbone; a step that leaves this
     out does not lead down V.
 
     Args:
@@ -84,7 +86,9 @@ class ArcFit(Part):
         self.hold(resolved(ArcFitSettings, settings, changes))
 
     def forward(self, q: Tensor, pi_hat: Tensor, points: Tensor, share: Tensor) -> Tensor:
-        """One Gauss-Newton step: q (..., n) nearer to the points; unchecked, of one leading shape.
+        """One step: q (..., n) nearer to the points; unchecked, of one leading shape.
+
+        Gauss and Newton's of the distances, Newton's own of what the lengths cost.
 
         Args:
             q: (..., n) the last fit.
@@ -92,7 +96,7 @@ class ArcFit(Part):
             points: (..., N, 3) of the curve, m, the last one its tip.
             share: (..., N) how far along the curve each point is, over its length.
         """
-        backbone, places = self.backbone, self.backbone.coordinates.elongations
+        backbone = self.backbone
         nominal = self.nominal.to(q)
         lengths = torch.maximum(backbone.section_lengths(q, pi_hat), SHORTEST * nominal)
         at = backbone.material_points(pi_hat, *located(share * lengths.sum(-1, keepdim=True), lengths))
@@ -110,11 +114,14 @@ class ArcFit(Part):
         slide = backbone.coordinates.on_elongations(share.unsqueeze(-1) - at.fraction).unsqueeze(-2)
         closing = closing + torch.cat((torch.zeros_like(slide), torch.zeros_like(slide), slide), dim=-2)
         J = closing.flatten(-3, -2) * weight.unsqueeze(-1)
-        scale = (aligned(self.length_prior, 1) * nominal).reciprocal().square().expand_as(pi_hat)
-        away = (nominal - pi_hat - q[..., places]) * scale
-        H = J.mT @ J + torch.diag_embed(backbone.coordinates.on_elongations(scale))
+        ratio, loose = lengths / nominal, aligned(self.length_prior, 1) * nominal
+        short = ratio.reciprocal()
+        # (c^2)' / 2 and (c^2)'' / 2, c'' too: of a short section it is most, and a step without it overshoots.
+        slope = torch.where(ratio > 1.0, ratio - 1.0, (1.0 - short) * short.square()) * nominal / loose.square()
+        bend = torch.where(ratio > 1.0, 1.0, (3.0 * short - 2.0) * short**3) / loose.square()
+        H = J.mT @ J + torch.diag_embed(backbone.coordinates.on_elongations(bend))
         H = H + DAMPING * torch.diag_embed(H.diagonal(dim1=-2, dim2=-1))
-        g = (J.mT @ r.unsqueeze(-1)).squeeze(-1) + backbone.coordinates.on_elongations(away)
+        g = (J.mT @ r.unsqueeze(-1)).squeeze(-1) - backbone.coordinates.on_elongations(slope)
         step = solve_spd(H, g.unsqueeze(-1)).squeeze(-1)
         step = scaled_within(step, LARGEST_STEP)
         moved = q + torch.where(torch.isfinite(step).all(-1, keepdim=True), step, 0.0)

@@ -35,7 +35,7 @@ ROWS = 600
 INSTANTS, POINTS = 40, 60
 """Of a run, and of the backbone, at which the shape is compared."""
 REACH = (0.2, 2.0)
-"""Of the constant lengths over the nominal ones, where the law has no bounds."""
+"""Of the constant lengths over the nominal ones, at most."""
 TOTAL = (0.75, 1.25)
 """Of their sum over the nominal one: a model that is longer or shorter by more is no model of the arm."""
 GAMMAS = (1e-3, 1e3)
@@ -127,7 +127,8 @@ def scores(configs: Sequence[SimulateSettings]) -> Tensor:
 def best_lengths(config: SimulateSettings, rounds: int = ROUNDS, candidates: int = CANDIDATES) -> Found:
     """The best constant rest lengths of an experiment, over its arm's nominal ones, their total free.
 
-    They are looked for within the experiment's `bounds`, on its training set-points. The nominal lengths are tried too.
+    They are looked for within `REACH` and the experiment's `bounds`, on its training set-points. The nominal lengths are
+    tried too.
 
     Args:
         config: Any dynamic experiment, on any arm; its law is left out.
@@ -138,7 +139,7 @@ def best_lengths(config: SimulateSettings, rounds: int = ROUNDS, candidates: int
     given = (fixed.bounds.lower, fixed.bounds.upper)
     limits = (end if bound is None else bound for bound, end in zip(given, REACH, strict=True))
     lower, upper = (build.vector("bounds", each, n).double().cpu() for each in limits)
-
+    lower, upper = lower.clamp(min=REACH[0]), upper.clamp(max=REACH[1])
     nominal = fixed.arm.rest_lengths().double()
     span = (upper - lower)[:-1]
 

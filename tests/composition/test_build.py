@@ -146,7 +146,7 @@ def test_one_dtype_throughout(dtype: str) -> None:
         ("controller.K", "[[1,2,0],[0,1,0],[0,0,1]]", "controller"),
         ("controller.K", "-1", "controller"),
         ("bounds.lower", "[0.1]", "controller"),
-        ("bounds.lower", "2.5", "controller"),
+        ("bounds.lower", "5.5", "controller"),
         ("controller.null_weights", "[1,1]", "controller"),
         ("controller.null_bends", "[0]", "controller"),
         ("experiment.setpoints", "null", "setpoints"),
