@@ -36,7 +36,8 @@ def length_covariance(
         state: Of a step.
         q_bar: (..., n) that the step found.
         pi_hat: (..., n_b) its rest lengths, m.
-        covariance: (..., n_s, n_s) of the strains and the load, such as of `ShapeFeedback.covariance`.
+        covariance: (..., n_s, n_s) of the strains and the load, such as of `ShapeFeedback.covariance`. A row of which it
+            is none has NaN.
 
     Raises:
         ShapeError: An argument has the wrong last dimensions.
@@ -55,7 +56,8 @@ def length_covariance(
     check_tensor("q_bar", q_bar, (feedback.fit.backbone.n,))
     check_tensor("pi_hat", pi_hat, (feedback.fit.nominal.shape[-1],))
     check_tensor("covariance", covariance, (n_s, n_s))
-    away = REACH * torch.linalg.cholesky(covariance).movedim(-1, 0)  # (n_s, ..., n_s): a column each
+    root, failed = torch.linalg.cholesky_ex(covariance)
+    away = REACH * root.movedim(-1, 0)  # (n_s, ..., n_s): a column each
     away = torch.cat((torch.zeros_like(away[:1]), away, -away))
     every = away.shape[:-1]
     tried = shape._replace(
@@ -71,4 +73,5 @@ def length_covariance(
     slopes, curved = (ahead - behind) / (2.0 * REACH), (ahead + behind - 2.0 * at) / (2.0 * REACH**2)
     shift = curved.sum(0, keepdim=True)
     parts = torch.cat((slopes, (REACH**2 - 1.0) ** 0.5 * curved, shift))
-    return (parts.unsqueeze(-1) * parts.unsqueeze(-2)).sum(0)
+    known = (failed == 0) & torch.isfinite(root).flatten(-2).all(-1)
+    return torch.where(known[..., None, None], (parts.unsqueeze(-1) * parts.unsqueeze(-2)).sum(0), torch.nan)

@@ -9,8 +9,7 @@ c (..., n) the strains of the sections and m the load at the tip, kg: at rest P 
 all pieces of a section alike. (c, m) is the maximum a posteriori of what is measured, poses, positions, orientations
 with or without a heading, curvature and tendon lengths y = B_f^T q_f, of a wide prior on c, and of a load that changes
 slowly. Before anything is measured, c is that of the arm as it was built, under tensions of which nothing is known:
-with F = S^T K^-1 B_f, bends scatter as F D^2 F^T does, D how far tensions do (`tension_prior`). A tendon bends every
-section that it passes, so sections between which no sensor sits bend together.
+with F = S^T K^-1 B_f, bends scatter as F D^2 F^T does, D how far tensions do: neighbours bend together.
 """
 
 from __future__ import annotations
@@ -110,18 +109,16 @@ class LoadedShape(FinerArm, Part):
         s = resolved(LoadedShapeSettings, settings, changes)
         if dynamics.n_sections % s.refine:
             raise ConfigError(f"dynamics must have {s.refine} pieces a section, got {dynamics.n_sections} pieces")
-        self.dynamics = dynamics
-        self.backbone = dynamics.kinematics()
+        self.dynamics, self.backbone = dynamics, dynamics.kinematics()
         self.n_sections = dynamics.n_sections // s.refine
         B = routing.matrix(dynamics.lengths)
-        if rest is None:
-            rest = torch.zeros_like(B[..., : 3 * self.n_sections, 0])
+        rest = torch.zeros_like(B[..., : 3 * self.n_sections, 0]) if rest is None else rest
         check_tensor("rest", rest, (3 * self.n_sections,))
-        K, lengths = dynamics.stiffness_diagonal.to(B), dynamics.lengths.to(B)
-        information = tension_information(B, K, s.refine, lengths, tensions)
+        K = dynamics.stiffness_diagonal.to(B)
+        information = tension_information(B, K, s.refine, dynamics.lengths.to(B), tensions)
         self.kinds = kinds
-        places = None if curvature_places is None else curvature_places.to(dynamics.lengths)
-        weights = None if places is None else curvature_weights(dynamics.lengths, s.refine, places)
+        at = curvature_places
+        weights = None if at is None else curvature_weights(dynamics.lengths, s.refine, at.to(dynamics.lengths))
         hold_rows(self, abscissae=(abscissae, 1), B=(B, 2), rest=(rest, 1), information=(information, 2))
         hold_rows(self, curvature_weights=(weights, 2))
         self.hold(s)

@@ -84,6 +84,9 @@ def test_rows_do_not_meet_and_single_precision_agrees() -> None:
         shape = type(state.shape)(*(each[one] for each in state.shape))
         alone = FollowedShape(shape, state.lengths[one], state.tip[one])
         torch.testing.assert_close(length_covariance(feedback, alone, q[one], pi[one], P[one]), both[one])
+    for wrong in (torch.nan, -1.0):
+        beside = length_covariance(feedback, state, q, pi, torch.stack((P[0], wrong * torch.eye(7, dtype=D))))
+        assert torch.equal(beside[0], both[0]) and bool(beside[1].isnan().all())
     torch.testing.assert_close(both, both.mT)
     assert bool((torch.linalg.eigvalsh(both) > 0.0).all())
     single = ShapeFeedback.on(ARM, ARM.backbone(), ShapeFeedbackSettings()).float()
