@@ -20,10 +20,11 @@ def length_covariance(
     """Mean square (..., n_b, n_b), m^2, of what the lengths l = pi + dL of the model's sections are off by.
 
     They are what the fit makes of the shape's strains and load s. What is estimated is l(s) of the true s: the lengths
-    that the same fit, drawn to the same nominal ones, finds for the true shape. The law's rest lengths follow l,
-    pi_hat_dot = dL / tau, so at rest this is what pi_hat is off by.
+    that the same fit, drawn to the same nominal ones, finds for the true shape. The law's rest lengths follow l with a
+    time constant, pi_hat_dot = dL / tau, which averages what comes and goes: of an arm at rest they are off by less.
 
-    Arcs that run along a shape change their lengths much for a little of it, and not in proportion. So l is taken at
+    Arcs that run along a shape change their lengths much for a little of it, and not in proportion. Where the fit has
+    several valleys, this is of the one that q_bar lies in, and says too little. l is taken at
     s +- sqrt(3) S_i, with S S^T the covariance of s, and its slopes and curvatures are those of divided differences:
     with d_i = (l+ - l-) / (2 sqrt 3), c_i = (l+ + l- - 2 l) / 6 and b the sum of the c_i,
 
@@ -36,8 +37,8 @@ def length_covariance(
         state: Of a step.
         q_bar: (..., n) that the step found.
         pi_hat: (..., n_b) its rest lengths, m.
-        covariance: (..., n_s, n_s) of the strains and the load, such as of `ShapeFeedback.covariance`. A row of which it
-            is none has NaN.
+        covariance: (..., n_s, n_s) of the strains and the load, such as of `ShapeFeedback.covariance`. What is none
+            makes its row NaN.
 
     Raises:
         ShapeError: An argument has the wrong last dimensions.

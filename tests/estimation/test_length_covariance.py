@@ -100,6 +100,7 @@ def test_rows_do_not_meet_and_single_precision_agrees() -> None:
 
 @pytest.mark.parametrize("name", ["three sections", "two sensors"])
 def test_lengths_scatter_by_it(name: str) -> None:
-    found = covered(ARMS[name], ShapeFeedbackSettings(), rows=150, steps=50)
+    # Known no better than it is, the shape does not make the fit jump from valley to valley.
+    found = covered(ARMS[name], ShapeFeedbackSettings(curve_noise=1e-3), rows=150, steps=50)
     # Of a length that is no linear function of the shape it errs to the safe side.
-    assert 0.5 < found.lengths < 1.0 + found.band + 0.1
+    assert 0.5 < found.lengths < 1.0 + found.band
