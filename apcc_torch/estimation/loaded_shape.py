@@ -59,7 +59,7 @@ class LoadedShape(FinerArm, Part):
         abscissae: (..., k) of the sensors, m.
         *settings, **changes: See `LoadedShapeSettings`.
         rest: (..., n) strains of the sections before anything is measured, rad and m; None for those of a straight arm.
-        tensions: (n_a,) how its tendons' tensions scatter before anything is measured, over each other; None for alike.
+        tensions: (..., n_a) how its tendons' tensions scatter before anything is measured; None where all are alike.
         kinds: What the sensors measure; None for poses.
         curvature_places: (..., n_c) abscissae where curvature is measured, m; None for nowhere.
 

@@ -50,7 +50,7 @@ def tension_information(
         stiffness: (..., n_f) K of the pieces, N m/rad and N/m.
         refine: Pieces of a section.
         lengths: (..., n_p) of the pieces, m.
-        tensions: (n_a,) deviations, over each other, such as from `tension_scatter`; None where all are alike.
+        tensions: (..., n_a) deviations, over each other, such as from `tension_scatter`; None where all are alike.
 
     Example:
         >>> arm = Arm(lengths=[0.2, 0.2], racks=[0.4])
@@ -59,7 +59,7 @@ def tension_information(
         >>> scatter[0, [0, 3]].round(decimals=2)
         tensor([1.0100, 1.0000], dtype=torch.float64)
     """
-    D = B if tensions is None else B * tensions.to(B)
+    D = B if tensions is None else B * tensions.to(B).unsqueeze(-2)
     F = (D / stiffness.unsqueeze(-1)).unflatten(-2, (-1, refine, 3)).sum(-3)
     bends = torch.cat((F[..., :2, :], torch.zeros_like(F[..., 2:, :])), dim=-2).flatten(-3, -2)  # (..., 3 n_b, n_a)
     soft = stiffness.unflatten(-1, (-1, refine, 3))[..., 2].reciprocal().sum(-1)
