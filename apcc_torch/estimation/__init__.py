@@ -8,6 +8,7 @@ from apcc_torch.estimation.contact import ContactSearch
 from apcc_torch.estimation.external_force import BalanceNoise, ForceBalance, tare
 from apcc_torch.estimation.feedback import Feedback, FeedbackStatus
 from apcc_torch.estimation.feedback_covariance import feedback_covariance
+from apcc_torch.estimation.length_covariance import length_covariance
 from apcc_torch.estimation.load_from_shape import LoadFromShape, ShapeNoise
 from apcc_torch.estimation.loaded_shape import LoadedShape
 from apcc_torch.estimation.loaded_shape_settings import LoadedShapeSettings
@@ -55,6 +56,7 @@ __all__ = [
     "best_fit",
     "feedback_covariance",
     "gate_recording",
+    "length_covariance",
     "tare",
     "weighted_estimate",
 ]

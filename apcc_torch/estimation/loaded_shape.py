@@ -8,9 +8,8 @@ not. With S spreading a section's strains over its pieces, P = I - S S^+ and K, 
 c (..., n) the strains of the sections and m the load at the tip, kg: at rest P (K q_f + G) = 0, for tendons pull on
 all pieces of a section alike. (c, m) is the maximum a posteriori of what is measured, poses, positions, orientations
 with or without a heading, curvature and tendon lengths y = B_f^T q_f, of a wide prior on c, and of a load that changes
-slowly. Before anything is measured, c is that of the arm as it was built, under
-tensions of which nothing is known: with F = S^T K^-1 B_f, bends scatter as F F^T does. A tendon bends every section
-that it passes, so sections between which no sensor sits bend alike.
+slowly. Before anything is measured, c is that of the arm as it was built, under tensions of which nothing is known:
+with F = S^T K^-1 B_f, bends scatter as F D^2 F^T does, D how far tensions do: neighbours bend together.
 """
 
 from __future__ import annotations
@@ -27,7 +26,7 @@ from apcc_torch.estimation.inertial_rows import inertial_rows
 from apcc_torch.estimation.loaded_shape_settings import LoadedShapeSettings
 from apcc_torch.estimation.pose_rows import pose_rows, tendon_rows
 from apcc_torch.estimation.shape_state import ShapeState
-from apcc_torch.estimation.tension_prior import tension_information, untold
+from apcc_torch.estimation.tension_prior import tension_information, tension_scatter, untold
 from apcc_torch.linalg import scaled_within, solve_spd
 from apcc_torch.model.arm import Arm
 from apcc_torch.model.arm_rest import strain_at_rest
@@ -60,6 +59,7 @@ class LoadedShape(FinerArm, Part):
         abscissae: (..., k) of the sensors, m.
         *settings, **changes: See `LoadedShapeSettings`.
         rest: (..., n) strains of the sections before anything is measured, rad and m; None for those of a straight arm.
+        tensions: (..., n_a) how its tendons' tensions scatter before anything is measured; None where all are alike.
         kinds: What the sensors measure; None for poses.
         curvature_places: (..., n_c) abscissae where curvature is measured, m; None for nowhere.
 
@@ -100,6 +100,7 @@ class LoadedShape(FinerArm, Part):
         abscissae: Tensor,
         *settings: Any,
         rest: Tensor | None = None,
+        tensions: Tensor | None = None,
         kinds: SensorKinds | None = None,
         curvature_places: Tensor | None = None,
         **changes: Any,
@@ -108,17 +109,16 @@ class LoadedShape(FinerArm, Part):
         s = resolved(LoadedShapeSettings, settings, changes)
         if dynamics.n_sections % s.refine:
             raise ConfigError(f"dynamics must have {s.refine} pieces a section, got {dynamics.n_sections} pieces")
-        self.dynamics = dynamics
-        self.backbone = dynamics.kinematics()
+        self.dynamics, self.backbone = dynamics, dynamics.kinematics()
         self.n_sections = dynamics.n_sections // s.refine
         B = routing.matrix(dynamics.lengths)
-        if rest is None:
-            rest = torch.zeros_like(B[..., : 3 * self.n_sections, 0])
+        rest = torch.zeros_like(B[..., : 3 * self.n_sections, 0]) if rest is None else rest
         check_tensor("rest", rest, (3 * self.n_sections,))
-        information = tension_information(B, dynamics.stiffness_diagonal.to(B), s.refine)
+        K = dynamics.stiffness_diagonal.to(B)
+        information = tension_information(B, K, s.refine, dynamics.lengths.to(B), tensions)
         self.kinds = kinds
-        places = None if curvature_places is None else curvature_places.to(dynamics.lengths)
-        weights = None if places is None else curvature_weights(dynamics.lengths, s.refine, places)
+        at = curvature_places
+        weights = None if at is None else curvature_weights(dynamics.lengths, s.refine, at.to(dynamics.lengths))
         hold_rows(self, abscissae=(abscissae, 1), B=(B, 2), rest=(rest, 1), information=(information, 2))
         hold_rows(self, curvature_weights=(weights, 2))
         self.hold(s)
@@ -132,6 +132,7 @@ class LoadedShape(FinerArm, Part):
             arm.sensor_places(),
             settings,
             rest=strain_at_rest(arm),
+            tensions=tension_scatter(arm),
             kinds=arm.sensor_kinds(),
             curvature_places=curvature_places(arm),
         )

@@ -8,6 +8,7 @@ from torch import Tensor
 from apcc_torch.control.shape_law import ShapeLawSettings
 from apcc_torch.estimation.loaded_shape import LoadedShape
 from apcc_torch.estimation.shape_state import ShapeState
+from apcc_torch.estimation.tension_prior import tension_scatter
 from apcc_torch.evaluation.arm_methods import identified
 from apcc_torch.evaluation.frames import Frames
 from apcc_torch.evaluation.method import Method
@@ -42,7 +43,8 @@ class ShapeAsBuilt(Method):
         self.upright, self.base = arm.base_rotation() @ told.base_rotation.mT, told.base_position
         self.mount_rotation = told.mount_rotation
         self.lever = -(told.mount_rotation.mT @ told.mount_offset.unsqueeze(-1)).squeeze(-1)
-        self.shape = LoadedShape(arm.dynamics(settings.refine), arm.routing(), arm.sensor_places(), settings)
+        pieces, tensions = arm.dynamics(settings.refine), tension_scatter(arm)
+        self.shape = LoadedShape(pieces, arm.routing(), arm.sensor_places(), settings, tensions=tensions)
 
     def predict(self, test: Frames, task: Task, seen: Frames | None = None) -> Tensor:
         """See `Method.predict`."""

@@ -127,8 +127,8 @@ def scores(configs: Sequence[SimulateSettings]) -> Tensor:
 def best_lengths(config: SimulateSettings, rounds: int = ROUNDS, candidates: int = CANDIDATES) -> Found:
     """The best constant rest lengths of an experiment, over its arm's nominal ones, their total free.
 
-    They are looked for within `REACH` and the experiment's `bounds`, on its training set-points. The nominal lengths are
-    tried too.
+    They are looked for within `REACH` and the experiment's `bounds`, on its training set-points. The nominal lengths
+    are tried too.
 
     Args:
         config: Any dynamic experiment, on any arm; its law is left out.

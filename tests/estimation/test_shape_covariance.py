@@ -9,13 +9,14 @@ from shape_covariance import ARMS, covered
 from apcc_torch import decouple
 from apcc_torch.estimation.loaded_shape import LoadedShape
 from apcc_torch.estimation.loaded_shape_settings import LoadedShapeSettings
+from apcc_torch.estimation.shape_feedback import ShapeFeedbackSettings
 
 D = torch.float64
 
 
 @pytest.mark.parametrize("name", ["three sections", "two sensors", "four, standing"])
 def test_estimates_scatter_by_their_covariance(name: str) -> None:
-    found = covered(ARMS[name], LoadedShapeSettings(), rows=150, steps=50)
+    found = covered(ARMS[name], ShapeFeedbackSettings(), rows=150, steps=50)
     # Beside chance, which is the band, the arm is no linear function of what is measured.
     assert abs(found.strains - 1.0) < found.band + 0.05
     assert 0.7 < found.load < 1.3 and 0.8 < found.middle < 1.2 and 0.8 < found.tip < 1.2

@@ -7,6 +7,7 @@ import torch
 from torch import Tensor
 
 from apcc_torch import Arm, PCCBackbone, decouple
+from apcc_torch.estimation.tension_prior import tension_scatter
 from apcc_torch.evaluation.frames import Frames, Past
 from apcc_torch.evaluation.law_methods import ShapeAsBuilt
 from apcc_torch.evaluation.method import Known
@@ -36,7 +37,7 @@ def known(arm: Arm) -> Known:
 def recording(count: int = 12) -> Frames:
     """Bodies at the sections' ends of the arm in two pieces a section, at rest under what its motors hold."""
     draw = torch.Generator().manual_seed(3)
-    pulls = 2.0 * torch.rand(count, ARM.n_tendons, generator=draw, dtype=D)
+    pulls = 3.0 * tension_scatter(ARM) * torch.rand(count, ARM.n_tendons, generator=draw, dtype=D)
     payload = torch.linspace(0.0, 0.2, count, dtype=D)
     solved = equilibrium(ARM.dynamics(2), routing=ARM.routing(), tensions=pulls, payload=payload)
     assert bool(solved.converged.all())
