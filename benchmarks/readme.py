@@ -121,6 +121,11 @@ def whole_table(speed: dict[str, Any]) -> str:
         f"{UNITS} operations a cycle at {CLOCK / 1e9:g} GHz on each core in use, of {LANES} doubles each, for one arm "
         "of one. They count the estimator's loop as often as it may run; where it ends sooner, a step is below."
     )
+    call, waits = (speed[f"{ONE_STEP}_{name}"] for name in ("standing", "standing_only_waits"))
+    said += (
+        f" p99.9 of a standing call is {call['p999_us'] / call['median_us']:.1f} times its median; of a loop that only "
+        f"reads the clock as long it is {waits['p999_us'] / waits['median_us']:.1f} times, for the system interrupts both."
+    )
     return "\n".join([*lines, "", said, "", measured(speed)])
 
 

@@ -30,7 +30,7 @@ from peer_compilers import compilers
 from peer_numpy import prepared
 from rods import rods
 from subjects import SENSORS, closed_loop, dynamics, floor, one_row, plant, shipped, soromox, states, steps
-from timing import flush_caches, timed, timed_steps
+from timing import flush_caches, timed, timed_steps, wait
 
 import apcc_torch
 from apcc_torch.files import write_json
@@ -111,6 +111,10 @@ def control_steps(table: Table, options: argparse.Namespace) -> None:
             if batch == 1:
                 loop = standing(step, late[0])
                 table.add(f"{name}_standing", 1, 1, lambda c=loop, n=calls: timed_steps(c, [()], n))
+                if f"{name}_standing" in table.rows:
+                    median = table.rows[f"{name}_standing"]["median_us"]
+                    table.add(f"{name}_standing_only_waits", 1, 1,
+                              lambda m=median, n=calls: timed_steps(lambda: wait(m), [()], n))  # fmt: skip
                 table.add(f"{name}_standing_after_20_ms", 1, 1, lambda c=loop, n=paused: timed(c, 0.0, n, pause=0.02))
                 table.add(f"{name}_standing_flushed", 1, 1,
                           lambda c=loop, n=paused // 2: timed(c, 0.0, n, before=flush_caches))  # fmt: skip

@@ -60,6 +60,13 @@ def flush_caches() -> None:
     torch.zeros(FLUSHED, dtype=torch.uint8).add_(1)
 
 
+def wait(microseconds: float) -> None:
+    """Reads the clock for so long: what the tail of such a loop is on this machine, which interrupts it."""
+    end = time.perf_counter() + 1e-6 * microseconds
+    while time.perf_counter() < end:
+        pass
+
+
 def timed_steps(
     step: Callable[..., object], inputs: Sequence[tuple[object, ...]], steps: int, device: str = "cpu"
 ) -> dict[str, float]:
