@@ -123,8 +123,9 @@ def whole_table(speed: dict[str, Any]) -> str:
     )
     call, waits = (speed[f"{ONE_STEP}_{name}"] for name in ("standing", "standing_only_waits"))
     said += (
-        f" p99.9 of a standing call is {call['p999_us'] / call['median_us']:.1f} times its median; of a loop that only "
-        f"reads the clock as long it is {waits['p999_us'] / waits['median_us']:.1f} times, for the system interrupts both."
+        f" p99.9 of a standing call is {call['p999_us'] / call['median_us']:.1f} times its median; of a loop "
+        f"that only reads the clock as long it is {waits['p999_us'] / waits['median_us']:.1f} times: the system "
+        "interrupts both."
     )
     return "\n".join([*lines, "", said, "", measured(speed)])
 
