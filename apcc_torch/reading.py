@@ -132,6 +132,8 @@ def nested_in(root: type[Settings], name: str) -> type[Settings] | None:
     if any(about_of(each).base is not None for each in fields(root) if each.name == name):
         return None
     options = _options(_types(root)[name])
+    if any(typing.get_origin(option) is Mapping for option in options):
+        return None  # plain keys, which the field's owner reads
     return next((cast(type[Settings], option) for option in options if is_dataclass(option)), None)
 
 

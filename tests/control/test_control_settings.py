@@ -142,7 +142,7 @@ def test_bounds_are_relative_to_the_arm() -> None:
     nominal = TWO.rest_lengths() * torch.tensor([[1.1, 0.9], [1.0, 1.2]], dtype=D)
     bounds = APCCController.on(TWO, PLAIN, nominal).bounds
     assert bounds is not None and bounds.largest is not None
-    torch.testing.assert_close(bounds.largest, 2.0 * TWO.rest_lengths())
+    torch.testing.assert_close(bounds.largest, 5.0 * TWO.rest_lengths())
 
 
 def test_the_controller_of_tasks_is_made_alike() -> None:
