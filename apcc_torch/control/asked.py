@@ -12,7 +12,7 @@ from apcc_torch.model.kinematic_model import Placed
 
 
 class Asked(NamedTuple):
-    """One step's.
+    """What `APCCController._solve` is given in a step.
 
     state, measurement, target: Of the step.
     q, pi_hat, chain: Configuration (..., n), rest lengths (..., n_b), m, and chain that the tendons drive.
