@@ -28,10 +28,10 @@ from apcc_torch.composition.evaluate import EvaluateSettings, recordings
 from apcc_torch.composition.identify import parameters
 from apcc_torch.composition.schema import typed
 from apcc_torch.evaluation.frames import Frames
-from apcc_torch.evaluation.law_methods import ShapeAsBuilt
 from apcc_torch.evaluation.leaderboard import rms_mm
 from apcc_torch.evaluation.method import Known
 from apcc_torch.evaluation.sections_methods import Posterior, ThroughSensors, wide
+from apcc_torch.evaluation.shape_as_built import ShapeAsBuilt
 from apcc_torch.evaluation.shape_posterior import Sections
 from apcc_torch.evaluation.tasks import Task
 

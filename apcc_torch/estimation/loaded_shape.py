@@ -24,8 +24,8 @@ from apcc_torch.estimation.curvature_rows import curvature_rows
 from apcc_torch.estimation.finer_arm import FinerArm
 from apcc_torch.estimation.inertial_rows import inertial_rows
 from apcc_torch.estimation.loaded_shape_settings import LoadedShapeSettings
-from apcc_torch.estimation.pose_rows import pose_rows, tendon_rows
-from apcc_torch.estimation.shape_state import ShapeState
+from apcc_torch.estimation.pose_rows import pose_rows, tendon_rows, tendon_weights
+from apcc_torch.estimation.shape_state import ShapeMeasurement, ShapeState
 from apcc_torch.estimation.tension_prior import tension_information, tension_scatter, untold
 from apcc_torch.linalg import scaled_within, solve_spd
 from apcc_torch.model.arm import Arm
@@ -60,12 +60,13 @@ class LoadedShape(FinerArm, Part):
         *settings, **changes: See `LoadedShapeSettings`.
         rest: (..., n) strains of the sections before anything is measured, rad and m; None for those of a straight arm.
         tensions: (..., n_a) how its tendons' tensions scatter before anything is measured; None where all are alike.
+        tendon_covariance: (..., n_a, n_a) of what tendons' length changes are off by, m^2; None: `tendon_noise` each.
         kinds: What the sensors measure; None for poses.
         curvature_places: (..., n_c) abscissae where curvature is measured, m; None for nowhere.
 
     Raises:
         ConfigError: The number of the arm's pieces is no multiple of `refine`.
-        ValueRangeError: A setting is out of range.
+        ValueRangeError: A setting is out of range, or tendon_covariance is not positive definite.
 
     Example:
         >>> arm = Arm(lengths=[0.2, 0.25], mass=0.4)
@@ -80,6 +81,7 @@ class LoadedShape(FinerArm, Part):
     rest: Tensor
     information: Tensor
     curvature_weights: Tensor | None
+    tendon_weights: Tensor | None
     position_noise: Setting
     angular_noise: Setting
     tendon_noise: Setting
@@ -101,6 +103,7 @@ class LoadedShape(FinerArm, Part):
         *settings: Any,
         rest: Tensor | None = None,
         tensions: Tensor | None = None,
+        tendon_covariance: Tensor | None = None,
         kinds: SensorKinds | None = None,
         curvature_places: Tensor | None = None,
         **changes: Any,
@@ -120,11 +123,12 @@ class LoadedShape(FinerArm, Part):
         at = curvature_places
         weights = None if at is None else curvature_weights(dynamics.lengths, s.refine, at.to(dynamics.lengths))
         hold_rows(self, abscissae=(abscissae, 1), B=(B, 2), rest=(rest, 1), information=(information, 2))
-        hold_rows(self, curvature_weights=(weights, 2))
+        told = None if tendon_covariance is None else tendon_weights(tendon_covariance, B.shape[-1])
+        hold_rows(self, curvature_weights=(weights, 2), tendon_weights=(told, 3))
         self.hold(s)
 
     @classmethod
-    def on(cls, arm: Arm, settings: LoadedShapeSettings) -> Self:
+    def on(cls, arm: Arm, settings: LoadedShapeSettings, tendon_covariance: Tensor | None = None) -> Self:
         """The estimator of an arm as it is believed to be."""
         return cls(
             arm.dynamics(settings.refine),
@@ -133,6 +137,7 @@ class LoadedShape(FinerArm, Part):
             settings,
             rest=strain_at_rest(arm),
             tensions=tension_scatter(arm),
+            tendon_covariance=tendon_covariance,
             kinds=arm.sensor_kinds(),
             curvature_places=curvature_places(arm),
         )
@@ -160,7 +165,8 @@ class LoadedShape(FinerArm, Part):
 
     def configuration(self, state: ShapeState) -> Tensor:
         """q_f (..., n_f) of the arm's pieces: rad, rad, m. None is shorter than a share of its rest length."""
-        q = self._spread(self.strain(state)) + self._sag(state)
+        own, each = state.sag.unbind(-2)
+        q = self._spread(self.strain(state)) + own + state.load.unsqueeze(-1) * each
         return self._longer_than(q, (SHORTEST - 1.0) * self.pieces(q))
 
     def _longer_than(self, q: Tensor, least: Tensor) -> Tensor:
@@ -191,7 +197,7 @@ class LoadedShape(FinerArm, Part):
             curvature: (..., n_c, 2) measured, 1/m, not finite where unknown; None where none is known.
         """
         now = self._begun(state, dt)
-        H, slope, misfit = self._weighed(now, T, usable, oriented, y, dt, curvature)
+        H, slope, misfit = self._weighed(now, ShapeMeasurement(T, usable, oriented, y, curvature), dt)
         eye = torch.eye(H.shape[-1], dtype=H.dtype, device=H.device).expand_as(H)
         step, P = solve_spd(H, torch.cat((slope.unsqueeze(-1), eye), dim=-1)).tensor_split((1,), dim=-1)
         step = step.squeeze(-1)
@@ -225,7 +231,7 @@ class LoadedShape(FinerArm, Part):
 
         It is that of the measurements' noise and the priors as they are set: rad, m and kg.
         """
-        H = self._weighed(self._begun(state, dt), T, usable, oriented, y, dt, curvature)[0]
+        H = self._weighed(self._begun(state, dt), ShapeMeasurement(T, usable, oriented, y, curvature), dt)[0]
         return solve_spd(H, torch.eye(H.shape[-1], dtype=H.dtype, device=H.device).expand_as(H))
 
     def point_covariance(self, state: ShapeState, covariance: Tensor, X: Tensor) -> Tensor:
@@ -241,31 +247,27 @@ class LoadedShape(FinerArm, Part):
         move = chain.rotation @ self._moved(chain.body_jacobian(), state)[..., 3:, :]
         return move @ covariance.unsqueeze(-3) @ move.mT
 
-    def _weighed(
-        self,
-        state: ShapeState,
-        T: Tensor,
-        usable: Tensor,
-        oriented: Tensor,
-        y: Tensor | None,
-        dt: Tensor,
-        curvature: Tensor | None,
-    ) -> tuple[Tensor, Tensor, Tensor]:
+    def _weighed(self, state: ShapeState, seen: ShapeMeasurement, dt: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Information (..., n + 1, n + 1), it times their change, and the `misfit`."""
-        r, J = self._residual(state, T, usable, oriented, y, curvature)
+        r, J = self.residual(state, seen)
         prior = (aligned(self.load, 0) * self._mass(r)).square()
         walk = (aligned(self.load_rate, 0) * self._mass(r)).square() * dt
         variance = torch.minimum(state.deviation[..., -1].square() + walk, prior)
-        strain = self.strain(state)
-        deviation = self._deviation(strain)
-        known = self.information.to(r) / (deviation.unsqueeze(-1) * deviation.unsqueeze(-2))
-        away = (known @ (strain - self.rest.to(r)).unsqueeze(-1)).squeeze(-1)
+        known, off = self.believed(state)
+        away = (known @ off.unsqueeze(-1)).squeeze(-1)
         slope = (J.mT @ r.unsqueeze(-1)).squeeze(-1) - torch.nn.functional.pad(away, (0, 1))
         H = J.mT @ J + torch.nn.functional.pad(known, (0, 1, 0, 1))
         load = torch.nn.functional.pad(variance.reciprocal().unsqueeze(-1), (slope.shape[-1] - 1, 0))
-        told = 6 * T.shape[-3] + (0 if self.kinds is None else 3 * len(self.kinds.inertial))
+        told = 6 * seen.T.shape[-3] + (0 if self.kinds is None else 3 * len(self.kinds.inertial))
         misfit = r[..., :told].unflatten(-1, (-1, 3)).square().sum(-1).amax(-1)
         return H + torch.diag_embed(load), slope, misfit
+
+    def believed(self, state: ShapeState) -> tuple[Tensor, Tensor]:
+        """Information (..., n, n) of the strains before they are measured, and by how much they differ (..., n)."""
+        strain = self.strain(state)
+        deviation = self._deviation(strain)
+        known = self.information.to(strain) / (deviation.unsqueeze(-1) * deviation.unsqueeze(-2))
+        return known, strain - self.rest.to(strain)
 
     def _moved(self, body: Tensor, state: ShapeState) -> Tensor:
         """A Jacobian (..., k, r, n_f) by the strains and the load (..., k, r, n + 1)."""
@@ -283,10 +285,6 @@ class LoadedShape(FinerArm, Part):
         )
         return torch.stack((bend, bend, elongation), dim=-1).flatten(-2).expand_as(strain)
 
-    def _sag(self, state: ShapeState) -> Tensor:
-        own, each = state.sag.unbind(-2)
-        return own + state.load.unsqueeze(-1) * each
-
     def _renewed(self, state: ShapeState, dt: Tensor) -> Tensor:
         """The sag (..., 2, n_f) after a step: a share of the way to -P K^-1 G at the last shape."""
         q, none = self.configuration(state), torch.zeros_like(state.load)
@@ -298,16 +296,12 @@ class LoadedShape(FinerArm, Part):
         share = (1.0 - torch.exp(-dt / aligned(self.sag_time, 0))).clamp(max=LARGEST_SHARE)
         return state.sag + share[..., None, None] * (own - state.sag)
 
-    def _residual(
-        self,
-        state: ShapeState,
-        T: Tensor,
-        usable: Tensor,
-        oriented: Tensor,
-        y: Tensor | None,
-        curvature: Tensor | None = None,
-    ) -> tuple[Tensor, Tensor]:
-        """What the measurements leave (..., m), over its standard deviation, and its derivative (..., m, n + 1)."""
+    def residual(self, state: ShapeState, seen: ShapeMeasurement) -> tuple[Tensor, Tensor]:
+        """What measurements leave of a shape (..., m), over its deviation, and the shape's own slope (..., m, n + 1).
+
+        By its strains and the load. Tendons are the last n_a rows, but for curvature.
+        """
+        T, usable, oriented, y, curvature = seen
         q = self.configuration(state)
         chain, units = self.chain_at(q, self.abscissae), () if self.kinds is None else self.kinds.inertial
         body, firm = self._moved(chain.body_jacobian(), state), oriented
@@ -321,7 +315,8 @@ class LoadedShape(FinerArm, Part):
             r, W = inertial_rows(R, measured, counts, headed, self.tilt_noise, drift)
             rows.append((r.flatten(-2), (W @ body[..., units, :3, :]).flatten(-3, -2)))
         if y is not None:
-            r, J = tendon_rows(q, self.B.to(q), y, self.tendon_noise)
+            weights = None if self.tendon_weights is None else self.tendon_weights.to(q)
+            r, J = tendon_rows(q, self.B.to(q), y, self.tendon_noise, weights)
             rows.append((r, self._moved(J.unsqueeze(-3), state).squeeze(-3)))
         if curvature is not None and self.curvature_weights is not None:
             weights = self.curvature_weights.to(q)

@@ -32,3 +32,16 @@ class ShapeState(NamedTuple):
         """This one in rows (...) bool, the other elsewhere."""
         pairs = zip(self, other, strict=True)
         return type(self)(*(torch.where(rows[(..., *(None,) * (a.dim() - rows.dim()))], a, b) for a, b in pairs))
+
+
+class ShapeMeasurement(NamedTuple):
+    """What is measured of a shape, as `LoadedShape.forward` has it.
+
+    T: (..., k, 4, 4) sensor poses. usable, oriented: (..., k) bool. y: (..., n_a) m. curvature: (..., n_c, 2) 1/m.
+    """
+
+    T: Tensor
+    usable: Tensor
+    oriented: Tensor
+    y: Tensor | None
+    curvature: Tensor | None = None

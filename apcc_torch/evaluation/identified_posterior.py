@@ -14,8 +14,8 @@ from apcc_torch.evaluation.learning import Estimator, KernelMethod
 from apcc_torch.evaluation.method import BOTH, Known
 from apcc_torch.evaluation.sections_methods import LEAST_ANGLE, MOST, AffinePosterior, wide
 from apcc_torch.evaluation.shape_posterior import POSITION_NOISE, Gaussian, Sections, shrunk_covariance
+from apcc_torch.evaluation.stretches import FOLDS, identified_by, outside, stretches
 from apcc_torch.evaluation.tasks import Task
-from apcc_torch.identification.fit import Fit, fit
 from apcc_torch.identification.parameters import Values
 from apcc_torch.identification.split import thinned
 from apcc_torch.identification.tendon_arm import TIP_MASS, TendonArm
@@ -27,8 +27,6 @@ LARGEST_STEP = 0.1
 """Of the payload in one of them, kg."""
 WEIGHED = 1e-3
 """Change of the payload that its effect is told by, kg."""
-FOLDS = 3
-"""Stretches of what is learned from, each held back once, that say how far what is learned is off."""
 MOTORS = Task((), motors=True)
 
 
@@ -60,8 +58,10 @@ class IdentifiedPosterior(AffinePosterior):
         some, rest = some.at(settled(rest)), rest[settled(rest)]
         # What no body tells is as in the equilibrium.
         around = wide(self.sections.model)._replace(value=rest)
-        folds = torch.arange(len(some)) * FOLDS // len(some)
-        elsewhere = [self.equilibrium(some, self.without(some.at(outside(folds, k)), found)) for k in range(FOLDS)]
+        folds = stretches(len(some))
+        elsewhere = [
+            self.equilibrium(some, identified_by(self.known, some.at(outside(folds, k)), found)) for k in range(FOLDS)
+        ]
         tried = []
         for sections in candidates:
             q = sections.most_probable(some.positions, some.rotations, [around])
@@ -99,14 +99,6 @@ class IdentifiedPosterior(AffinePosterior):
             own, others = (index[settled(off[index])] for index in (own, others))
             missed.append(off[own] - self.told(some.at(others), off[others], some.at(own)))
         return torch.cat(missed)
-
-    def without(self, others: Frames, found: Fit) -> Values:
-        """The arm's values by these moments alone, one round of identification from those of all."""
-        some, settings = self.known.some(others), self.known.fit.changed(rounds=1)
-        again = self.known.shared("identified without a stretch", some, lambda: fit(
-            self.arm, self.known.parameters, some.drive, some.positions, settings, found.z
-        ))  # fmt: skip
-        return {name: value.detach() for name, value in self.known.parameters.values(again.z).items()}
 
     def learn(self, frames: Frames, off: Tensor) -> None:
         """What is believed of q less its equilibrium, from examples (N, n)."""
@@ -178,11 +170,6 @@ class LearnedPosterior(IdentifiedPosterior):
 
     def _said(self, model: Estimator, frames: Frames) -> Tensor:
         return torch.from_numpy(model.predict(self.regression.features(frames, MOTORS)))
-
-
-def outside(folds: Tensor, fold: int) -> Tensor:
-    """Indices of the moments that are not of a stretch."""
-    return (folds != fold).nonzero().squeeze(-1)
 
 
 def settled(q: Tensor) -> Tensor:

@@ -7,10 +7,11 @@ from collections.abc import Callable
 from apcc_torch.evaluation import (
     arm_methods,
     identified_posterior,
-    law_methods,
     learning,
     residual_methods,
     sections_methods,
+    shape_as_built,
+    shape_identified,
 )
 from apcc_torch.evaluation.method import Known, Method
 
@@ -36,8 +37,8 @@ METHODS: dict[str, Callable[[Known], Method]] = {
     "affine through the sensors": sections_methods.AffineThroughSensors,
     "spline through the sensors": sections_methods.Spline,
     "PCC, best lengths in hindsight": sections_methods.BestLengths,
-    "shape under load, as built": law_methods.ShapeAsBuilt,
-    "shape under load, arm identified": law_methods.ShapeIdentified,
+    "shape under load, as built": shape_as_built.ShapeAsBuilt,
+    "shape under load, arm identified": shape_identified.ShapeIdentified,
     "most probable PCC": sections_methods.Posterior,
     "most probable affine": sections_methods.AffinePosterior,
     "most probable, arm identified": identified_posterior.IdentifiedPosterior,

@@ -15,7 +15,7 @@ from apcc_torch.estimation.counted import counted
 from apcc_torch.estimation.feedback import FeedbackStatus
 from apcc_torch.estimation.loaded_shape import LoadedShape
 from apcc_torch.estimation.loaded_shape_settings import LoadedShapeSettings
-from apcc_torch.estimation.shape_state import ShapeState
+from apcc_torch.estimation.shape_state import ShapeMeasurement, ShapeState
 from apcc_torch.lie import so3
 from apcc_torch.model.curvature import middle_curvature
 from laws import generator, normal
@@ -57,7 +57,7 @@ def read_off(shape: LoadedShape, state: ShapeState) -> READINGS:
 def residual(shape: LoadedShape, state: ShapeState, change: Tensor, told: READINGS) -> tuple[Tensor, Tensor]:
     moved = state._replace(sections=state.sections + change[..., :-1], load=state.load + change[..., -1])
     T, usable, oriented, y, _, curvature = told
-    return shape._residual(moved, T, usable, oriented, y, curvature)
+    return shape.residual(moved, ShapeMeasurement(T, usable, oriented, y, curvature))
 
 
 def test_without_an_error_nothing_is_left_and_the_derivative_is_autograds() -> None:
@@ -107,7 +107,7 @@ def test_marginalised_headings_are_those_of_a_least_squares_with_them() -> None:
     state = bent(shape)
     T, usable, oriented, *_ = read_off(LoadedShape.on(ALL, LoadedShapeSettings()), state)
     only = torch.tensor([True, False, False, False])
-    _, J = shape._residual(state, T, usable & False, oriented & only, None)
+    _, J = shape.residual(state, ShapeMeasurement(T, usable & False, oriented & only, None))
     place = shape.chain_at(shape.configuration(state), shape.abscissae)
     omega = shape._moved(place.body_jacobian(), state)[0, :3]
     up, sigma = place.rotation[0, 2], float(shape.tilt_noise)

@@ -9,9 +9,9 @@ from torch import Tensor
 from apcc_torch import Arm, PCCBackbone, decouple
 from apcc_torch.estimation.tension_prior import tension_scatter
 from apcc_torch.evaluation.frames import Frames, Past
-from apcc_torch.evaluation.law_methods import ShapeAsBuilt
 from apcc_torch.evaluation.method import Known
 from apcc_torch.evaluation.sections_methods import ThroughSensors
+from apcc_torch.evaluation.shape_as_built import ShapeAsBuilt
 from apcc_torch.evaluation.tasks import Task
 from apcc_torch.identification.arm_blocks import Spreads, arm_parameters
 from apcc_torch.identification.fit import FitSettings
