@@ -144,7 +144,8 @@ class Sensing:
         stamp[...] = sample.stamp
         self._judge()
         # Copies: the next frame overwrites what stands there.
-        position_ok, orientation_ok, *reasons = (array.copy() for array in self._judge.results[1])
+        verdict = (array.copy() for array in self._judge.results[1])
+        position_ok, orientation_ok, position_reason, orientation_reason = verdict
         self.since_before = self.since_usable, self.since_position
         if position_ok.any():
             self.since_usable = sample.stamp
@@ -156,7 +157,8 @@ class Sensing:
             self._held(),
             position_ok,
             orientation_ok,
-            *reasons,
+            position_reason,
+            orientation_reason,
             bool(position_ok.any() if self.settings.partial == "mask" else position_ok.all()),
         )
 
