@@ -12,17 +12,19 @@ import torch
 
 from apcc_torch.composition.build import Builder
 from apcc_torch.control.trajectory import SetPoint
-from apcc_torch.estimation.sensor_gate import SensorGateSettings
+from apcc_torch.estimation.sensor_gate import SensorGate, SensorGateSettings
 from apcc_torch.hardware.clock import VirtualClock
 from apcc_torch.hardware.control import Control
 from apcc_torch.hardware.guards import GuardSettings
 from apcc_torch.hardware.limits import CommandLimits
+from apcc_torch.hardware.mounts import Mounts
 from apcc_torch.hardware.records import Observer, Outcome
 from apcc_torch.hardware.runner import Runner
-from apcc_torch.hardware.sensing import Sensing, SensingSettings
+from apcc_torch.hardware.sensing import Sensing, SensingSettings, blank_frame
 from apcc_torch.hardware.setup import LoopSettings, Setup
 from apcc_torch.hardware.stop_request import StopRequest
 from apcc_torch.model.abscissae import decouple
+from apcc_torch.native import NativeFunction
 from composed import composed
 from fake_devices import N_TENDONS, FakeActuator, FakeSensor, FakeStep, Fault, Faults, Witness
 
@@ -47,6 +49,14 @@ def rest() -> np.ndarray:
     straight = torch.zeros(3 * build.n_sections, dtype=torch.float64)
     poses: np.ndarray = build.backbone().pose(straight, pi_hat, *decouple(build.sensors_at(), pi_hat)).numpy()
     return poses
+
+
+def sensing(mounts: Mounts | None = None, machine_code: bool = False, **changes: Any) -> Sensing:
+    """What judges the frames of the paper's arm, by `SENSING` with changes."""
+    settings = SENSING.changed(**changes)
+    gate = SensorGate(builder().sensors_at(), settings.gate)
+    judge = NativeFunction(gate, blank_frame(gate)) if machine_code else None
+    return Sensing(gate, builder().base_rotation(), settings, mounts, judge)
 
 
 @dataclass
@@ -80,7 +90,7 @@ def fake_run(
     setup = Setup(
         actuator,
         sensor,
-        Sensing(build.sensors_at(), build.base_rotation(), SENSING),
+        sensing(),
         Control(controller, target, pi_hat, step),
         limits,
         guards,

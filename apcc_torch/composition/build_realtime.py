@@ -9,6 +9,7 @@ from apcc_torch.composition.realtime import RealtimeSettings, limits_of
 from apcc_torch.control.lookahead_controller import LookaheadController
 from apcc_torch.control.trajectory import SetPoint, SineTrajectory
 from apcc_torch.errors import ConfigError
+from apcc_torch.estimation.sensor_gate import SensorGate
 from apcc_torch.hardware.control import Control, blank_step
 from apcc_torch.hardware.devices import Devices, devices
 from apcc_torch.hardware.dry_run import DryRunActuator
@@ -18,7 +19,7 @@ from apcc_torch.hardware.log_format import Layouts, layouts
 from apcc_torch.hardware.looking_ahead import LookingAhead
 from apcc_torch.hardware.mounts import Mounts
 from apcc_torch.hardware.ramp import Ramp, RampControl
-from apcc_torch.hardware.sensing import Sensing
+from apcc_torch.hardware.sensing import Sensing, blank_frame
 from apcc_torch.hardware.simulated.arm import SimulatedArm
 from apcc_torch.native.compiled import compiled
 from apcc_torch.reading import keyed
@@ -115,8 +116,11 @@ class RealtimeBuilder:
 
     def sensing(self, mounts: Mounts | None = None) -> Sensing:
         """What judges frames, of bodies that sit on the arm as `mounts` says."""
+        settings = self.settings.guards.sensing
         with keyed("guards.sensing.gate"):
-            return Sensing(self.model.sensors_at(), self.model.base_rotation(), self.settings.guards.sensing, mounts)
+            gate = SensorGate(self.model.sensors_at(), settings.gate)
+        judge = compiled(gate, blank_frame(gate), self.settings.compile)
+        return Sensing(gate, self.model.base_rotation(), settings, mounts, judge)
 
     def guards(self) -> GuardSettings:
         """What ends the run. Only a set-point can be arrived at."""

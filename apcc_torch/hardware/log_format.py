@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache, cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -58,7 +59,7 @@ class Layout:
             lines.append(f"{field.kind}{size} {field.name}  # {field.about}")
         return "\n".join(lines) + "\n"
 
-    @property
+    @cached_property
     def dtype(self) -> np.dtype[np.void]:
         """The numbers of one message in memory."""
         kinds = {"float64": "<f8", "int64": "<i8"}
@@ -221,7 +222,10 @@ def layouts(n: int, n_b: int, k: int, n_a: int, pressures: bool = False, ahead: 
 
 def raw_layout(raw: dict[str, list[int]]) -> Layout:
     """The layout of a device's own numbers."""
+    return _raw_layout(tuple((name, len(values)) for name, values in raw.items()))
+
+
+@cache
+def _raw_layout(sizes: tuple[tuple[str, int], ...]) -> Layout:
     about = "as the device gives it"
-    return Layout(
-        "RawTendons", "/tendons/raw", (TICK, TIME, *(_int(name, about, len(values)) for name, values in raw.items()))
-    )
+    return Layout("RawTendons", "/tendons/raw", (TICK, TIME, *(_int(name, about, size) for name, size in sizes)))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 
@@ -10,11 +11,16 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from apcc_torch.estimation.sensor_gate import SensorGate, SensorGateSettings
+from apcc_torch.errors import ShapeError
+from apcc_torch.estimation.sensor_gate import GateState, GateVerdict, SensorGate, SensorGateSettings
 from apcc_torch.hardware.interfaces import Array, PoseSample
 from apcc_torch.hardware.mounts import Mounts
 from apcc_torch.hardware.stops import Stop, StopReason
+from apcc_torch.native.standing import StandingCall
 from apcc_torch.settings import OURS, Settings, setting
+
+Judgement = Callable[[GateState, Tensor, Tensor, Tensor], tuple[GateState, GateVerdict]]
+"""One frame through the gate: the gate itself, or a compiled form of it."""
 
 GATE = partial(SensorGateSettings, max_speed=2.0, max_angular_rate=16.0, max_bend=3.0)
 """Of an arm under control, which moves faster and bends more than recorded ones."""
@@ -68,27 +74,38 @@ class GatedFrame:
         return self.usable and bool(self.position_ok.all() and self.orientation_ok.all())
 
 
+def blank_frame(gate: SensorGate) -> tuple[GateState, Tensor, Tensor, Tensor]:
+    """Arguments of the form that a gate's every judgement has: what a compiler needs to see."""
+    T, time = torch.zeros(gate.sensors, 4, 4, dtype=torch.float64), torch.zeros((), dtype=torch.float64)
+    return gate.initial_state(T, time), T, torch.zeros(gate.sensors, dtype=torch.bool), time
+
+
 class Sensing:
     """Judges every frame once, and remembers since when what has been missing.
 
     Args:
-        abscissae: (k,) where the bodies sit on the arm, m.
+        gate: Which bodies to believe, made of `settings.gate`.
         base_rotation: (3, 3) orientation of the arm's base in the frame of the poses; the gate judges in the base.
         settings: Limits of frames and bodies.
         mounts: How the bodies sit on the arm; None where the source's poses are the model's frames already.
+        judge: What to call in place of the gate; None for the gate itself.
     """
 
     def __init__(
-        self, abscissae: Tensor, base_rotation: Tensor, settings: SensingSettings, mounts: Mounts | None = None
+        self,
+        gate: SensorGate,
+        base_rotation: Tensor,
+        settings: SensingSettings,
+        mounts: Mounts | None = None,
+        judge: Judgement | None = None,
     ) -> None:
-        self.gate = SensorGate(abscissae, settings.gate)
+        self.gate = gate
         self.settings = settings
         self.mounts = mounts
         # NumPy around the gate: on so few numbers a tensor's every operation costs more than the numbers.
         self.to_base = np.eye(4)
         self.to_base[:3, :3] = base_rotation.detach().double().numpy().T
-        like = torch.zeros(self.gate.sensors, 4, 4, dtype=torch.float64)
-        self.state = self.gate.initial_state(like, torch.zeros((), dtype=torch.float64))
+        self._judge = StandingCall(gate if judge is None else judge, blank_frame(gate), carries=True)
         self.last: PoseSample | None = None
         self.repeats = 0
         self.since_usable = 0.0
@@ -119,12 +136,16 @@ class Sensing:
         # A stamp from the future is as wrong as one from long ago.
         timely = forward and not frozen and -self.settings.max_age <= age <= self.settings.max_age
         poses = sample.T if self.mounts is None else self.mounts.turned(sample.T)
-        # Copies: a source's arrays may be read-only, which tensors cannot be.
-        tracked = torch.tensor(sample.valid & timely)
-        T = torch.tensor(self.to_base @ poses)
-        stamp = torch.tensor(sample.stamp, dtype=torch.float64)
-        self.state, verdict = self.gate(self.state, T, tracked, stamp)
-        position_ok = verdict.position_ok.numpy()
+        _, T, tracked, stamp = self._judge.given
+        if poses.shape != T.shape:
+            raise ShapeError(f"a sample's T must have shape {T.shape}, got {poses.shape}")
+        np.matmul(self.to_base, poses, out=T)
+        np.logical_and(sample.valid, timely, out=tracked)
+        stamp[...] = sample.stamp
+        self._judge()
+        # Copies: the next frame overwrites what stands there.
+        verdict = (array.copy() for array in self._judge.results[1])
+        position_ok, orientation_ok, position_reason, orientation_reason = verdict
         self.since_before = self.since_usable, self.since_position
         if position_ok.any():
             self.since_usable = sample.stamp
@@ -135,9 +156,9 @@ class Sensing:
             age,
             self._held(),
             position_ok,
-            verdict.orientation_ok.numpy(),
-            verdict.position_reason.numpy(),
-            verdict.orientation_reason.numpy(),
+            orientation_ok,
+            position_reason,
+            orientation_reason,
             bool(position_ok.any() if self.settings.partial == "mask" else position_ok.all()),
         )
 
@@ -154,7 +175,7 @@ class Sensing:
     def _held(self) -> Array:
         """The last accepted poses (k, 4, 4), m, of the model's frames, in the frame of the samples."""
         T = np.zeros((self.gate.sensors, 4, 4))
-        R, p = self.state.rotation.numpy(), self.state.position.numpy()
+        R, p = self._judge.given[0].rotation, self._judge.given[0].position
         T[:, :3, :3], T[:, 3, 3] = R, 1.0
         T[:, :3, 3] = p if self.mounts is None else self.mounts.moved(R, p)
         return np.asarray(self.to_base.T @ T)

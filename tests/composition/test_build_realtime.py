@@ -13,6 +13,7 @@ from apcc_torch.errors import ApccError
 from apcc_torch.hardware.clock import MonotonicClock, VirtualClock
 from apcc_torch.hardware.dry_run import DryRunActuator
 from apcc_torch.hardware.stops import Ending, StopReason
+from apcc_torch.native import NativeFunction, TorchStep
 from composed import composed, composed_realtime
 
 
@@ -55,6 +56,12 @@ def test_the_gate_judges_in_the_base() -> None:
     assert np.allclose(sensing.to_base[:3, :3], np.diag([1.0, -1.0, -1.0]))
     assert sensing.gate.max_reach.tolist() == pytest.approx([1.5 * x for x in (0.105, 0.36, 0.60)])
     assert bool((sensing.gate.max_bend <= pi).all())
+
+
+def test_frames_are_judged_as_the_step_is_run() -> None:
+    for mode, kind in (("off", TorchStep), ("aot", NativeFunction)):
+        build = builder("experiment=setpoint", f"compile={mode}")
+        assert isinstance(build.sensing()._judge._step, kind) and isinstance(build.control().step, kind)
 
 
 def test_endings_can_be_changed() -> None:

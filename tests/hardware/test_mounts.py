@@ -10,16 +10,11 @@ from apcc_torch.errors import SafetyError, ShapeError
 from apcc_torch.hardware.calibration_measurement import rest_calibration
 from apcc_torch.hardware.interfaces import PoseSample
 from apcc_torch.hardware.mounts import Mounts
-from apcc_torch.hardware.sensing import Sensing
 from apcc_torch.lie import so3
-from fake_runs import SENSING, builder, rest
+from fake_runs import builder, rest, sensing
 
 ALL = np.ones(3, dtype=np.bool_)
 NAMES = ("disk_1", "disk_3", "disk_5")
-
-
-def sensing(mounts: Mounts | None = None) -> Sensing:
-    return Sensing(builder().sensors_at(), builder().base_rotation(), SENSING, mounts)
 
 
 def frames_of_bodies(seed: int = 0) -> np.ndarray:

@@ -16,12 +16,11 @@ from apcc_torch.hardware.log import RunLog
 from apcc_torch.hardware.log_format import layouts
 from apcc_torch.hardware.log_reader import read_log
 from apcc_torch.hardware.loop import Loop
-from apcc_torch.hardware.sensing import Sensing
 from apcc_torch.hardware.setup import LoopSettings
 from apcc_torch.hardware.states import State
 from apcc_torch.hardware.stops import Ending, StopReason
 from fake_devices import Fault
-from fake_runs import DURATION, GUARDS, LIMITS, SENSING, FakeRun, builder, fake_run
+from fake_runs import DURATION, GUARDS, LIMITS, SENSING, FakeRun, fake_run, sensing
 
 R = StopReason
 
@@ -145,8 +144,7 @@ def test_no_pose_that_reaches_the_controller_is_ever_not_finite() -> None:
 
 
 def test_frames_that_lack_a_body_can_be_stepped_on() -> None:
-    masking = Sensing(builder().sensors_at(), builder().base_rotation(), SENSING.changed(partial="mask"))
-    run = fake_run([Fault("one_untracked", 0.7, 0.9)], sensing=masking)
+    run = fake_run([Fault("one_untracked", 0.7, 0.9)], sensing=sensing(partial="mask"))
     partial = [t for t in run.witness.ticks if 0.71 < t.now < 0.9]
     assert run.outcome.reason is R.DURATION and all(tick.decision is not None for tick in partial)
     assert all(t.frame is not None and t.frame.position_ok.tolist() == [True, False, True] for t in partial)
@@ -233,18 +231,13 @@ def test_a_stopped_process_ends_the_run_and_every_period_it_missed_counts(
     check_end(run)
 
 
-def patient() -> Sensing:
-    """One that waits long for a frame."""
-    return Sensing(builder().sensors_at(), builder().base_rotation(), SENSING.changed(stale=5.0, dropout=5.0))
-
-
 @pytest.mark.parametrize("stage", STAGES)
 def test_after_a_pause_that_is_allowed_no_old_frame_is_used(stage: str, monkeypatch: pytest.MonkeyPatch) -> None:
     stopped(monkeypatch, stage, 1.005)
     run = fake_run(
         [Fault("turned_round", AT + 0.5)],  # what a frame after the pause asks for
         replace(GUARDS, max_pause=None, overruns=1000),
-        sensing=patient(),
+        sensing=sensing(stale=5.0, dropout=5.0),
         loop=LoopSettings(rate=50.0, warm_up=2, hold=0.1),
         duration=3.0,
     )
@@ -260,7 +253,7 @@ def test_after_a_pause_that_is_allowed_no_old_frame_is_used(stage: str, monkeypa
 def test_a_command_from_a_frame_that_grew_old_in_the_step_is_not_sent() -> None:
     """The process is stopped within the controller's step: the next frame's wish is the first that counts."""
     faults = [Fault("stopped", AT, AT + 0.005), Fault("turned_round", AT)]
-    run = fake_run(faults, replace(GUARDS, overruns=1000), sensing=patient())
+    run = fake_run(faults, replace(GUARDS, overruns=1000), sensing=sensing(stale=5.0, dropout=5.0))
     late = next(tick for tick in run.witness.ticks if tick.control > 0.1)
     assert late.decision is not None and (late.decision.y > 0).all() and (late.requested < 0).all()
     after = next(tick for tick in run.witness.ticks if tick.index > late.index)

@@ -3,25 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
 import torch
 
-from apcc_torch.errors import ApccError
-from apcc_torch.estimation.sensor_gate import Reason
+from apcc_torch.errors import ApccError, ShapeError
+from apcc_torch.estimation.sensor_gate import GateState, Reason
 from apcc_torch.hardware.interfaces import PoseSample
-from apcc_torch.hardware.sensing import Sensing, SensingSettings
+from apcc_torch.hardware.mounts import Mounts
+from apcc_torch.hardware.sensing import SensingSettings
 from apcc_torch.hardware.stops import StopReason
-from fake_runs import SENSING, builder, rest
+from apcc_torch.lie import so3
+from fake_runs import rest, sensing
 
 ALL = np.ones(3, dtype=np.bool_)
-
-
-def sensing(**changes: Any) -> Sensing:
-    build = builder()
-    return Sensing(build.sensors_at(), build.base_rotation(), SENSING.changed(**changes))
 
 
 def sample(number: int, T: np.ndarray | None = None, valid: np.ndarray = ALL) -> PoseSample:
@@ -43,8 +39,8 @@ def test_held_poses_are_the_gates_in_the_samples_frame() -> None:
     sense = sensing()
     for k in range(3):
         sense.look(sample(k), 0.01 * k)
-    to_base = torch.from_numpy(sense.to_base)
-    assert np.allclose(sense._held(), (to_base.mT @ sense.state.poses()).numpy(), atol=1e-15)
+    state = GateState(*map(torch.from_numpy, sense._judge.given[0]))
+    assert np.allclose(sense._held(), sense.to_base.T @ state.poses().numpy(), atol=1e-15)
 
 
 def test_a_missing_body_keeps_its_last_pose_and_its_reason() -> None:
@@ -57,6 +53,7 @@ def test_a_missing_body_keeps_its_last_pose_and_its_reason() -> None:
     assert not seen.usable and seen.position_ok.tolist() == [True, False, True]
     assert seen.position_reason.tolist() == [Reason.OK, Reason.UNTRACKED, Reason.OK]
     assert np.array_equal(seen.T[1], first.T[1]) and seen.T[2, 0, 3] != first.T[2, 0, 3]
+    assert first.complete and not first.position_reason.any(), "a frame stays as it was judged"
 
 
 @pytest.mark.parametrize(
@@ -105,3 +102,56 @@ def test_limits_must_mean_something() -> None:
     ):
         with pytest.raises(ApccError, match=f"^{next(iter(change))} must"):
             SensingSettings(**change)  # type: ignore[arg-type]
+
+
+def test_a_sample_of_another_number_of_bodies_is_refused() -> None:
+    with pytest.raises(ShapeError, match=r"T must have shape \(3, 4, 4\), got \(1, 4, 4\)"):
+        sensing().look(PoseSample(0.01, 1, rest()[:1], ALL), 0.011)
+
+
+FAULTS = ("missing", "nan", "inf", "zero", "mirrored", "moved", "far", "twisted", "bent", "turned")
+
+
+def spoiled(sample: PoseSample, body: int, rng: np.random.Generator) -> None:
+    """One of a sample's bodies with a fault of any kind."""
+    fault, T = rng.choice(FAULTS), sample.T[body]
+    if fault == "missing":
+        T[:], sample.valid[body] = rng.choice([0.0, np.nan]), False
+    elif fault in ("nan", "inf"):
+        T[rng.integers(3), rng.integers(4)] = np.nan if fault == "nan" else -np.inf
+    elif fault in ("zero", "mirrored"):
+        T[:3, rng.integers(3)] *= 0.0 if fault == "zero" else -1.0
+    elif fault in ("moved", "far"):
+        T[:3, 3] += rng.normal(size=3) * (0.05 if fault == "moved" else 2.0)
+    else:
+        turn = {"twisted": (0.0, 0.0, 2.0), "bent": (2.5, 0.0, 0.0), "turned": rng.normal(size=3)}[fault]
+        T[:3, :3] = T[:3, :3] @ so3.exp(torch.tensor(turn, dtype=torch.float64)).numpy()
+
+
+@pytest.mark.parametrize("mounted", [False, True])
+def test_machine_code_judges_as_the_gate_itself(mounted: bool) -> None:
+    """Frames of every fault, in and out of time: the same reasons, and the same poses to rounding."""
+    rng = np.random.default_rng(5)
+    turns, offset = torch.from_numpy(0.1 * rng.normal(size=(3, 3))), 0.01 * rng.normal(size=(3, 3))
+    mounts = Mounts(so3.exp(turns).numpy(), offset) if mounted else None
+    eager, fast = sensing(mounts), sensing(mounts, machine_code=True)
+    stamp, reasons, kinds = 0.0, set(), set()
+    for k in range(600):
+        stamp += rng.choice([0.01, 0.5, -0.01], p=[0.7, 0.25, 0.05])
+        frame = sample(k, rest(), ALL.copy())
+        for body in rng.permutation(3)[: rng.integers(3)]:
+            spoiled(frame, body, rng)
+        frame, now = replace(frame, stamp=stamp), stamp + rng.choice([0.005, 0.1], p=[0.9, 0.1])
+        with np.errstate(invalid="ignore"):  # infinity times zero
+            expected, seen = eager.look(frame, now), fast.look(frame, now)
+        assert expected is not None and seen is not None
+        for name in ("stamp", "sequence", "age", "usable", "complete"):
+            assert getattr(seen, name) == getattr(expected, name), name
+        for name in ("position_ok", "orientation_ok", "position_reason", "orientation_reason"):
+            found, wanted = getattr(seen, name), getattr(expected, name)
+            assert found.dtype == wanted.dtype and np.array_equal(found, wanted), name
+        np.testing.assert_allclose(seen.T, expected.T, rtol=0, atol=1e-12)
+        np.testing.assert_array_equal(fast.since_position, eager.since_position)
+        reasons.update(map(Reason, seen.position_reason), map(Reason, seen.orientation_reason))
+        kinds.add((seen.usable, seen.complete))
+    assert reasons == set(Reason) and len(kinds) == 3
