@@ -34,8 +34,20 @@ LONGEST_NUMBER = 308
 NUMBER = re.compile(r"[-+.0-9][-+._:0-9a-fA-Fxo]*")
 """What YAML may take for a number."""
 
-Loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
-"""PyYAML's parser in C, where it was built with it: ten times faster."""
+EXPONENT = re.compile(r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)[eE][-+]?[0-9]+$")
+"""Numbers such as 1e-3, which PyYAML takes for text, as YAML 1.1 has it; in YAML 1.2 and in JSON they are numbers."""
+
+
+class Loader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[misc]
+    """PyYAML's parser, in C where it was built with it: ten times faster."""
+
+
+class Dumper(yaml.SafeDumper):
+    """Puts text within quotes that `Loader` would take for a number."""
+
+
+for _each in (Loader, Dumper):
+    _each.add_implicit_resolver("tag:yaml.org,2002:float", EXPONENT, list("-+.0123456789"))
 
 
 def cache_folder() -> Path:
@@ -200,6 +212,11 @@ def yaml_in(text: str, name: str) -> Any:
         raise DataError(f"{name} cannot be read: {error.problem or error.context}{where}") from error
     except (yaml.YAMLError, ValueError, OverflowError) as error:
         raise DataError(f"{name} cannot be read: {in_a_line(error)}") from error
+
+
+def yaml_text(values: Mapping[str, Any]) -> str:
+    """Plain values as a text that `yaml_in` reads as they are: keys in their order, lists of numbers in a line."""
+    return yaml.dump(dict(values), Dumper=Dumper, sort_keys=False, default_flow_style=None, width=120)
 
 
 def read_arrays(path: Path | str) -> dict[str, Tensor]:

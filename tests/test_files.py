@@ -26,6 +26,7 @@ from apcc_torch.files import (
     write_atomically,
     write_json,
     yaml_in,
+    yaml_text,
 )
 from apcc_torch.hardware.calibration_file import ArmCalibration
 from apcc_torch.hardware.log_reader import read_log
@@ -162,6 +163,22 @@ def test_whatever_a_text_says_it_is_plain_values_or_refused(reader: Callable[[st
         except DataError as error:
             refused.append(str(error))
     assert len(refused) > 100 and all(said.startswith("it cannot be read: ") and "\n" not in said for said in refused)
+
+
+@pytest.mark.parametrize("number", ["1e-3", "2E6", "-1.5e3", "1.e-2", ".5e1", "+1e+2", "1.5e-05"])
+def test_a_number_in_yaml_is_one_however_its_exponent_is_written(number: str) -> None:
+    """As in YAML 1.2, in JSON and on a command line; PyYAML alone reads a text."""
+    assert yaml_in(f"a: {number}\nb: [{number}]\nc: '{number}'\n", "it") == {
+        "a": float(number),
+        "b": [float(number)],
+        "c": number,
+    }
+    assert yaml_in(yaml_text({"a": number, "b": [float(number)]}), "it") == {"a": number, "b": [float(number)]}
+
+
+def test_what_only_begins_as_a_number_in_yaml_is_text() -> None:
+    for text in ("1e", "e3", "1e3m", "0.2e-3 m", "1e3.5", "v1e3", "1-2e3"):
+        assert yaml_in(f"a: {text}\n", "it") == {"a": text}
 
 
 # Own files, which no one else writes; and what reads within a bound of its own.

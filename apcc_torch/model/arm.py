@@ -9,12 +9,11 @@ from pathlib import Path
 from typing import Any
 
 import torch
-import yaml
 from torch import Tensor
 
 from apcc_torch.annotations import numbers_in
 from apcc_torch.errors import ApccError, Checks, ConfigError, DataError, ValueRangeError, begun_with
-from apcc_torch.files import json_in, read_text, write_atomically, yaml_in
+from apcc_torch.files import json_in, read_text, write_atomically, yaml_in, yaml_text
 from apcc_torch.lie import so3
 from apcc_torch.model.arm_path import arm_path
 from apcc_torch.model.arm_placement import Placement
@@ -307,8 +306,8 @@ class Arm(Settings):
             path: The file.
             comment: Lines to stand above.
         """
-        text = yaml.safe_dump(self.entries(), sort_keys=False, default_flow_style=None, width=120)
-        write_atomically(path, "".join(f"# {line}\n" for line in comment.splitlines()) + text)
+        head = "".join(f"# {line}\n" for line in comment.splitlines())
+        write_atomically(path, head + yaml_text(self.entries()))
 
 
 def vector(values: Lengths) -> Tensor:

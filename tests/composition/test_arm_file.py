@@ -52,6 +52,15 @@ def test_a_name_that_a_folder_cannot_have_is_refused(name: str, tmp_path: Path) 
         arm_override([f"arm={tmp_path}/mine.yaml"])
 
 
+def test_numbers_are_read_as_they_are_written(tmp_path: Path) -> None:
+    (tmp_path / "mine.yaml").write_text("lengths: [2e-1, 0.2]\nbending_rigidity: [1e-2, 2.5e-3]\nmass: 3E-1\n")
+    arm = Arm.load(tmp_path / "mine.yaml")
+    assert arm.changed(name="arm") == Arm(lengths=[0.2, 0.2], bending_rigidity=[0.01, 0.0025], mass=0.3)
+    named = arm.changed(name="1e3")
+    named.save(tmp_path / "named.yaml")
+    assert Arm.load(tmp_path / "named.yaml") == named
+
+
 def test_names_are_left_to_hydra() -> None:
     assert arm_override(["arm=ftdcr_v6", "arm.mass=1", "data=arm.yaml"]) == [
         "arm=ftdcr_v6",
