@@ -15,23 +15,33 @@ class FinerArm:
 
     Attributes:
         dynamics: Of all pieces. backbone: Their model. refine: Pieces of a section. abscissae: (..., k) of the sensors,
-            m.
+            m. uneven: (..., n_f, n) from `uneven_tension`; None where tendons bend each section evenly.
     """
 
     dynamics: SoftArmDynamics
     backbone: KinematicModel
     refine: int
     abscissae: Tensor
+    uneven: Tensor | None
 
-    def _spread(self, strain: Tensor) -> Tensor:
-        """S c: each piece takes an equal part of its section's strain (..., n_f)."""
-        return (
-            (strain.unflatten(-1, (-1, 1, 3)) / self.refine).expand(*strain.shape[:-1], -1, self.refine, 3).flatten(-3)
-        )
+    def _spread(self, strain: Tensor, rest: Tensor | None = None) -> Tensor:
+        """S c (..., n_f): each piece takes an equal part of its section's strain, but for what tendons that end within
+        the section bend beyond the strain at rest (..., n)."""
+        parts = strain.unflatten(-1, (-1, 1, 3)) / self.refine
+        even = parts.expand(*strain.shape[:-1], -1, self.refine, 3).flatten(-3)
+        if self.uneven is None:
+            return even
+        bent = strain if rest is None else strain - rest.to(strain)
+        return even + (self.uneven.to(strain) @ bent.unsqueeze(-1)).squeeze(-1)
+
+    def _added(self, pieces: Tensor) -> Tensor:
+        """A q (..., n) of q (..., n_f): the strains of the sections that their pieces add up to."""
+        return pieces.unflatten(-1, (-1, self.refine, 3)).sum(-2).flatten(-2)
 
     def _gathered(self, J: Tensor) -> Tensor:
-        """J S (..., n) of J (..., n_f)."""
-        return J.unflatten(-1, (-1, self.refine, 3)).mean(-2).flatten(-2)
+        """J S (..., k, r, n) of J (..., k, r, n_f)."""
+        even = J.unflatten(-1, (-1, self.refine, 3)).mean(-2).flatten(-2)
+        return even if self.uneven is None else even + J @ self.uneven.to(J).unsqueeze(-3)
 
     def _lengths(self, like: Tensor) -> Tensor:
         """(..., n_b) rest lengths of the sections, m."""

@@ -1,15 +1,15 @@
 """The arm's shape from its sensors, tendon lengths and mechanics: what lies between them is what the load makes of it.
 
 The arm is divided finer than the model. Tendons bend and stretch a section evenly; gravity and the load at the tip do
-not. With S spreading a section's strains over its pieces, P = I - S S^+ and K, G of the finer arm, its configuration is
+not. With S spreading a section's strains over its pieces, A adding them up, P = I - S A and K, G of the finer arm,
 
-    q_f = S c - P K^-1 (G_0(q_f) + m G_1(q_f)),
+    q_f = S c - P K^-1 (G_0(q_f) + m G_1(q_f))
 
-c (..., n) the strains of the sections and m the load at the tip, kg: at rest P (K q_f + G) = 0, for tendons pull on
-all pieces of a section alike. (c, m) is the maximum a posteriori of what is measured, poses, positions, orientations
-with or without a heading, curvature and tendon lengths y = B_f^T q_f, of a wide prior on c, and of a load that changes
-slowly. Before anything is measured, c is that of the arm as it was built, under tensions of which nothing is known:
-with F = S^T K^-1 B_f, bends scatter as F D^2 F^T does, D how far tensions do: neighbours bend together.
+is its configuration, c (..., n) the strains of the sections and m the load at the tip, kg: at rest P (K q_f + G) = 0,
+for tendons pull on all pieces of a section alike; where they end within one, S has `uneven_tension` too. (c, m) is the
+maximum a posteriori of what is measured, poses or parts of them, curvature and tendon lengths y = B_f^T q_f, of a wide
+prior on c, and of a load that changes slowly. Before anything is measured, c is that of the arm as it was built, under
+tensions of which nothing is known: with F = A K^-1 B_f, bends scatter as F D^2 F^T does, D how far tensions do.
 """
 
 from __future__ import annotations
@@ -27,6 +27,7 @@ from apcc_torch.estimation.loaded_shape_settings import LoadedShapeSettings
 from apcc_torch.estimation.pose_rows import pose_rows, tendon_rows, tendon_weights
 from apcc_torch.estimation.shape_state import ShapeMeasurement, ShapeState
 from apcc_torch.estimation.tension_prior import tension_information, tension_scatter, untold
+from apcc_torch.estimation.uneven_tension import uneven_tension
 from apcc_torch.linalg import scaled_within, solve_spd
 from apcc_torch.model.arm import Arm
 from apcc_torch.model.arm_rest import strain_at_rest
@@ -117,14 +118,15 @@ class LoadedShape(FinerArm, Part):
         B = routing.matrix(dynamics.lengths)
         rest = torch.zeros_like(B[..., : 3 * self.n_sections, 0]) if rest is None else rest
         check_tensor("rest", rest, (3 * self.n_sections,))
-        K = dynamics.stiffness_diagonal.to(B)
-        information = tension_information(B, K, s.refine, dynamics.lengths.to(B), tensions)
+        K, lengths = dynamics.stiffness_diagonal.to(B), dynamics.lengths.to(B)
+        information = tension_information(B, K, s.refine, lengths, tensions)
         self.kinds = kinds
-        at = curvature_places
-        weights = None if at is None else curvature_weights(dynamics.lengths, s.refine, at.to(dynamics.lengths))
+        at = None if curvature_places is None else curvature_places.to(dynamics.lengths)
+        weights = None if at is None else curvature_weights(dynamics.lengths, s.refine, at)
         hold_rows(self, abscissae=(abscissae, 1), B=(B, 2), rest=(rest, 1), information=(information, 2))
         told = None if tendon_covariance is None else tendon_weights(tendon_covariance, B.shape[-1])
         hold_rows(self, curvature_weights=(weights, 2), tendon_weights=(told, 3))
+        hold_rows(self, uneven=(uneven_tension(B, K, s.refine, lengths), 2))
         self.hold(s)
 
     @classmethod
@@ -166,7 +168,7 @@ class LoadedShape(FinerArm, Part):
     def configuration(self, state: ShapeState) -> Tensor:
         """q_f (..., n_f) of the arm's pieces: rad, rad, m. None is shorter than a share of its rest length."""
         own, each = state.sag.unbind(-2)
-        q = self._spread(self.strain(state)) + own + state.load.unsqueeze(-1) * each
+        q = self._spread(self.strain(state), self.rest) + own + state.load.unsqueeze(-1) * each
         return self._longer_than(q, (SHORTEST - 1.0) * self.pieces(q))
 
     def _longer_than(self, q: Tensor, least: Tensor) -> Tensor:
@@ -291,8 +293,7 @@ class LoadedShape(FinerArm, Part):
         weight = self.dynamics.static_load(q, none)
         each = self.dynamics.static_load(q, none + 1.0) - weight
         strain = -torch.stack((weight, each), dim=-2) / self.dynamics.stiffness_diagonal.to(q).unsqueeze(-2)
-        pieces = strain.unflatten(-1, (-1, self.refine, 3))
-        own = (pieces - pieces.mean(-2, keepdim=True)).flatten(-3)  # P
+        own = strain - torch.stack([self._spread(self._added(each)) for each in strain.unbind(-2)], dim=-2)  # P
         share = (1.0 - torch.exp(-dt / aligned(self.sag_time, 0))).clamp(max=LARGEST_SHARE)
         return state.sag + share[..., None, None] * (own - state.sag)
 

@@ -57,14 +57,14 @@ class Tendons(Settings):
 
         Args:
             racked: As they would run on the racks.
-            tips: (n_b,) abscissae of the sections' ends, m.
+            tips: (..., n_b) abscissae of the sections' ends, m.
         """
         if self.angles is self.offsets is self.ends is None:
             return racked
         angles = (
             racked.angles if self.angles is None else torch.tensor(self.angles, dtype=tips.dtype, device=tips.device)
         )
-        anchors = racked.anchors if self.ends is None else tips[[end - 1 for end in self.ends]]
+        anchors = racked.anchors if self.ends is None else tips[..., [end - 1 for end in self.ends]]
         offsets = self.offsets
         if offsets is None:
             offsets = racked.offsets[..., :1].expand(*racked.offsets.shape[:-1], len(angles))

@@ -24,6 +24,10 @@ ARMS = {
         lengths=[0.1, 0.15, 0.1, 0.12], base="standing", mass=0.2, bending_stiffness=3.0, axial_stiffness=400.0
     ),
     "sensors between the ends": Arm(lengths=[0.2, 0.2, 0.2], sensors=[0.13, 0.31, 0.47, 0.6]),
+    "racks within sections": Arm(lengths=[0.105, 0.255, 0.24], racks=[0.08, 0.29, 0.6]),
+    "racks within sections, soft": Arm(
+        lengths=[0.3, 0.3], racks=[0.25, 0.5], sensors=[0.28, 0.6], bending_stiffness=0.5
+    ),
     "fewer sensors than sections": Arm(lengths=[0.105, 0.255, 0.24], sensors=[0.36, 0.6]),
 }
 

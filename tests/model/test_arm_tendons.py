@@ -87,3 +87,12 @@ def test_a_whole_arm_comes_back_from_its_file(tmp_path: Path) -> None:
 def test_what_does_not_fit_the_arm_is_refused(told: dict[str, Any], error: type[Exception], words: str) -> None:
     with pytest.raises(error, match=words):
         Arm(lengths=LENGTHS, **told)
+
+
+def test_arms_of_many_lengths_have_each_their_tendons_by_section() -> None:
+    tendons = Tendons(angles=(0.0, 1.0, 2.0), ends=(2, 1, 2))
+    rows = torch.tensor([[[0.2, 0.1]], [[0.15, 0.25]]], dtype=torch.float64)
+    B = Arm(lengths=rows, tendons=tendons).routing().matrix(rows)
+    for i, (lengths,) in enumerate(rows.tolist()):
+        arm = Arm(lengths=lengths, tendons=tendons)
+        assert torch.equal(B[i, 0], arm.routing().matrix(arm.rest_lengths()))
