@@ -10,6 +10,8 @@ from apcc_torch.shapes import check_tensor
 
 STEPS = 20
 """Of the fit, in which it comes to rest on a shape near by."""
+RENEWALS = 15
+"""Times that the sag is renewed, by a share each, until it is that of the shape."""
 REACH = 3.0**0.5
 """How many deviations away shapes are tried: the root of a normal number's kurtosis gives squares their weight."""
 
@@ -61,11 +63,12 @@ def length_covariance(
     away = REACH * root.movedim(-1, 0)  # (n_s, ..., n_s): a column each
     away = torch.cat((torch.zeros_like(away[:1]), away, -away))
     every = away.shape[:-1]
-    tried = shape._replace(
-        sections=shape.sections + away[..., :-1],
-        load=shape.load + away[..., -1],
-        sag=shape.sag.expand(*every, *shape.sag.shape[-2:]),
-    )
+    sag = shape.sag.expand(*every, *shape.sag.shape[-2:])
+    tried = shape._replace(sections=shape.sections + away[..., :-1], load=shape.load + away[..., -1], sag=sag)
+    # An arm at rest sags as its shape has it, where the estimate's own sag is late.
+    for _ in range(RENEWALS):
+        tried = tried._replace(sag=feedback.shape.renewed(tried, torch.full_like(tried.load, torch.inf)))
+    tried = tried._replace(sag=torch.cat((sag[:1], tried.sag[1:])))
     points, share = feedback.curve(tried)
     q, pi_hat = q_bar.expand(*every, q_bar.shape[-1]), pi_hat.expand(*every, pi_hat.shape[-1])
     for _ in range(STEPS):

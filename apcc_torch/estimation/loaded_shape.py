@@ -277,7 +277,7 @@ class LoadedShape(FinerArm, Part):
 
     def _begun(self, state: ShapeState, dt: Tensor) -> ShapeState:
         """The state as a step begins with it: its sag renewed, and older by dt (...), s."""
-        return state._replace(sag=self._renewed(state, dt), age=state.age + dt)
+        return state._replace(sag=self.renewed(state, dt), age=state.age + dt)
 
     def _deviation(self, strain: Tensor) -> Tensor:
         """(..., n) of a section's strain before it is measured."""
@@ -287,7 +287,7 @@ class LoadedShape(FinerArm, Part):
         )
         return torch.stack((bend, bend, elongation), dim=-1).flatten(-2).expand_as(strain)
 
-    def _renewed(self, state: ShapeState, dt: Tensor) -> Tensor:
+    def renewed(self, state: ShapeState, dt: Tensor) -> Tensor:
         """The sag (..., 2, n_f) after a step: a share of the way to -P K^-1 G at the last shape."""
         q, none = self.configuration(state), torch.zeros_like(state.load)
         weight = self.dynamics.static_load(q, none)

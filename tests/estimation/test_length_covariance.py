@@ -17,11 +17,10 @@ BENDS = torch.tensor([[0.6, 0.1, 0.003, -0.3, 0.4, 0.0], [0.2, -0.5, 0.0, 0.4, 0
 
 
 def settled(feedback: ShapeFeedback, q: Tensor) -> tuple[FollowedShape, Tensor, Tensor]:
-    """A shape that bends within its sections too, the arcs at rest along it, and their rest lengths."""
+    """A shape that sags within its sections, the arcs at rest along it, and their rest lengths."""
     pi = ARM.rest_lengths().to(q).expand(len(q), -1)
     state = feedback.initial_state(q, pi)
-    sag = 0.05 * torch.randn(state.shape.sag.shape, generator=torch.Generator().manual_seed(1), dtype=D).to(q)
-    state = state._replace(shape=state.shape._replace(sag=sag))
+    state = moved(feedback, state, torch.zeros(7, dtype=D).to(q))
     return state, fitted(feedback, state, q, pi), pi
 
 
@@ -38,11 +37,14 @@ def scatter(rows: int, scale: float) -> Tensor:
     return scale**2 * (A @ A.mT + 0.1 * torch.eye(7, dtype=D))
 
 
-def moved(state: FollowedShape, away: Tensor) -> FollowedShape:
+def moved(feedback: ShapeFeedback, state: FollowedShape, away: Tensor) -> FollowedShape:
+    """The arm at rest with other strains and another load: its sag is that of its shape."""
     shape = state.shape
-    return state._replace(
-        shape=shape._replace(sections=shape.sections + away[..., :-1], load=shape.load + away[..., -1])
-    )
+    sections, load = shape.sections + away[..., :-1], shape.load + away[..., -1]
+    shape = shape._replace(sections=sections, load=load, sag=shape.sag.expand(*load.shape, *shape.sag.shape[-2:]))
+    for _ in range(60):
+        shape = shape._replace(sag=feedback.shape.renewed(shape, torch.full_like(shape.load, torch.inf)))
+    return state._replace(shape=shape)
 
 
 def test_of_little_scatter_it_is_that_of_the_slopes() -> None:
@@ -51,7 +53,7 @@ def test_of_little_scatter_it_is_that_of_the_slopes() -> None:
     P, step = scatter(2, 1e-6), 1e-5
     columns = []
     for direction in step * torch.eye(7, dtype=D):
-        ahead, behind = (fitted(feedback, moved(state, way * direction), q, pi)[:, 2::3] for way in (1.0, -1.0))
+        ahead, behind = (fitted(feedback, moved(feedback, state, way * direction), q, pi)[:, 2::3] for way in (1.0, -1.0))
         columns.append((ahead - behind) / (2.0 * step))
     J = torch.stack(columns, -1)
     found = length_covariance(feedback, state, q, pi, P)
@@ -68,7 +70,7 @@ def test_of_more_it_is_how_far_the_lengths_of_random_shapes_are() -> None:
         state.lengths.expand(count, -1),
         state.tip.expand(count, -1),
     )
-    tried = fitted(feedback, moved(every, drawn), q.expand(count, -1), pi.expand(count, -1))
+    tried = fitted(feedback, moved(feedback, every, drawn), q.expand(count, -1), pi.expand(count, -1))
     off = (tried - q)[:, 2::3]
     found = length_covariance(feedback, state, q, pi, P)[0]
     assert float((found / (off.mT @ off / count)).diagonal().log().abs().max()) < 0.2
