@@ -1,11 +1,11 @@
-"""Repetition of a step on its own result, which machine code writes once."""
+"""What a program does again, on its own result or at several places, and machine code writes once."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
-from typing import Any, TypeVar
+from typing import Any, Protocol, TypeVar
 
 import torch
 from torch import Tensor
@@ -13,9 +13,21 @@ from torch import Tensor
 from apcc_torch.modes import none_left
 
 S = TypeVar("S")
-Repeat = Callable[[Callable[[Any], Any], Any, int, Callable[[Any], Tensor]], Any]
 
-_recording: ContextVar[Repeat | None] = ContextVar("_recording", default=None)
+
+class Recording(Protocol):
+    """What writes down what is done, in place of doing it."""
+
+    def repeated(self, body: Callable[[Any], Any], state: Any, times: int, going: Callable[[Any], Tensor]) -> Any:
+        """See `repeated`."""
+        ...
+
+    def shared(self, function: Callable[..., Any], args: tuple[Any, ...]) -> Any:
+        """See `shared`."""
+        ...
+
+
+_recording: ContextVar[Recording | None] = ContextVar("_recording", default=None)
 
 
 def repeated(body: Callable[[S], S], state: S, times: int, going: Callable[[S], Tensor]) -> S:
@@ -33,9 +45,9 @@ def repeated(body: Callable[[S], S], state: S, times: int, going: Callable[[S], 
         >>> repeated(lambda x: torch.where(x > 1.0, 0.5 * x, x), large, 9, lambda x: x > 1.0)
         tensor([0.8750, 0.3000])
     """
-    recording = None if torch.compiler.is_dynamo_compiling() else _recording.get()
+    recording = _recorder()
     if recording is not None:
-        outcome: S = recording(body, state, times, going)
+        outcome: S = recording.repeated(body, state, times, going)
         return outcome
     for _ in range(times):
         if none_left(going(state)):
@@ -44,10 +56,34 @@ def repeated(body: Callable[[S], S], state: S, times: int, going: Callable[[S], 
     return state
 
 
+def shared(function: Callable[..., S], *args: Any) -> S:
+    """function(*args); machine code writes the function once and calls it wherever it is shared with the like.
+
+    Worth it for what takes thousands of operations and is done several times in one step.
+
+    Args:
+        function: Of its arguments alone, without branches on values, such as a method of a module.
+        *args: (Nested) tuples of tensors, numbers and None.
+
+    Example:
+        >>> shared(torch.add, torch.tensor(1.0), torch.tensor(2.0))
+        tensor(3.)
+    """
+    recording = _recorder()
+    if recording is None:
+        return function(*args)
+    outcome: S = recording.shared(function, args)
+    return outcome
+
+
+def _recorder() -> Recording | None:
+    return None if torch.compiler.is_dynamo_compiling() else _recording.get()
+
+
 @contextmanager
-def recorded_by(repeat: Repeat) -> Iterator[None]:
-    """Inside, `repeat` answers for `repeated`: it writes down what is done, in place of doing it."""
-    before = _recording.set(repeat)
+def recorded_by(recording: Recording) -> Iterator[None]:
+    """Inside, `recording` answers for `repeated` and `shared`."""
+    before = _recording.set(recording)
     try:
         yield
     finally:

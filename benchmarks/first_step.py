@@ -26,6 +26,7 @@ from subjects import LENGTHS, SENSORS
 
 import apcc_torch.envs
 from apcc_torch import APCCController, Arm, Measurement, Target, decouple
+from apcc_torch.control import LookaheadSettings
 from apcc_torch.control.trajectory import SetPoint
 from apcc_torch.native.compiled import compiled
 from apcc_torch.simulation.dynamic import ClosedLoop
@@ -66,17 +67,42 @@ def closed_loop(number: int) -> object:
     return compiled(loop, given, "aot", 64, carries=True)(*given)
 
 
-def environment(number: int) -> object:
-    """Reset and step of 64 dynamic arms."""
-    envs: Any = gymnasium.make_vec("apcc/Reach-v0", num_envs=64, arm=arm(number), dynamics="dynamic", compile="aot")
+def settling(number: int) -> object:
+    """A step of the dynamic arm that comes to rest before a simulation, of 64 rows."""
+    plant = Plant.on(arm(number), torch.linspace(0.0, 0.3, 64, dtype=D), PlantSettings())
+    return plant.settled(plant.settle, 0.005, "aot")
+
+
+def stepped(number: int, **settings: Any) -> object:
+    """Reset and step of 64 arms."""
+    envs: Any = gymnasium.make_vec("apcc/Reach-v0", num_envs=64, arm=arm(number), compile="aot", **settings)
     envs.reset(seed=0)
     return envs.step(torch.zeros(64, envs.single_action_space.shape[0]))
+
+
+def kinematic_environment(number: int) -> object:
+    """Of kinematic arms."""
+    return stepped(number)
+
+
+def environment(number: int) -> object:
+    """Of dynamic arms."""
+    return stepped(number, dynamics="dynamic")
+
+
+def environment_ahead(number: int) -> object:
+    """Of dynamic arms whose controllers look ahead."""
+    control = {"lookahead": LookaheadSettings(samples=64)}
+    return stepped(number, dynamics="dynamic", action="adaptation", control=control)
 
 
 SUBJECTS: dict[str, Callable[[int], object]] = {
     "control step": control_step,
     "closed loop": closed_loop,
+    "settling": settling,
+    "kinematic environment": kinematic_environment,
     "environment": environment,
+    "environment ahead": environment_ahead,
 }
 
 
@@ -139,13 +165,13 @@ def main() -> None:
     if given.arms is not None:
         print(json.dumps(seconds(given.subjects[0], *given.arms)))
         return
-    print(f"{'first step':<16}{'case':<12}{'median':>10}{'least':>10}{'largest':>10}")
+    print(f"{'first step':<24}{'case':<12}{'median':>10}{'least':>10}{'largest':>10}")
     for subject in given.subjects:
         runs = [measured(subject) for _ in range(given.repeats)]
         for case, unit in zip(FirstStep._fields, ("s", "s", "s", "kB"), strict=True):
             found = [getattr(run, case) for run in runs]
             shown = "".join(f"{value:>10.4g}" for value in (statistics.median(found), min(found), max(found)))
-            print(f"{subject:<16}{case:<12}{shown} {unit}", flush=True)
+            print(f"{subject:<24}{case:<12}{shown} {unit}", flush=True)
 
 
 if __name__ == "__main__":

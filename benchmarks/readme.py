@@ -133,7 +133,10 @@ def whole_table(speed: dict[str, Any]) -> str:
 STEPS = (
     ("the shipped controller, one arm", "control_step"),
     ("closed loop with the dynamic arm, 64 rows", "closed_loop"),
+    ("the dynamic arm that comes to rest before it, 64 rows", "settling"),
+    ("environment with the kinematic arm, 64 rows", "kinematic_environment"),
     ("environment with the dynamic arm, 64 rows", "environment"),
+    ("the same with a controller that looks ahead", "environment_ahead"),
 )
 
 

@@ -52,7 +52,7 @@ class ArmVectorEnv(VectorEnv[Tensor, Tensor, Tensor]):
         render_mode: "rgb_array", or None for none.
         render_rows: How many rows `render` draws, the first ones.
         renderers: What draws in each render mode, "module:class".
-        compile: How the step is run: "off", eagerly; "aot", as machine code, which is built once, in a minute or two,
+        compile: How the step is run: "off", eagerly; "aot", as machine code, which is built once, in seconds,
             and kept; "auto", so where it can be had, on a GPU through torch's compiler; "inductor", through that. True
             is "inductor".
         **settings: What the arms do and what is drawn for them, see the task's `settings_type`.

@@ -16,11 +16,11 @@ Places = tuple[int, ...]
 
 # What costs how much text, in statements of one operation: a value that is put where a loop finds it is one without an
 # operation, and a table of where values are is a declaration, with a short number for each of its entries. These are
-# estimates, not fits: half as large they make 7 % less text of the paper's step, twice as large 19 % more. An operation
-# is written once where that saves a tenth.
+# estimates, not fits: half as large they make 7 % less text of the paper's step, twice as large 19 % more.
 MOVED = 0.5
 TABLE, ENTRY = 0.4, 0.15
 WORTH = 0.9
+"""A tensor operation is written once where that leaves less than this share of its statements."""
 
 INPUTS, SCRATCH, OUTPUTS, NUMBERS = "in", "s", "out", "k"
 """What a program calls its memories: arguments, what it keeps, results, and constants."""
@@ -52,7 +52,7 @@ def shared(places: Places) -> bool:
     return places.count(places[0]) == len(places)
 
 
-def formulas(scalars: Scalars, calls: list[Call], blocks: list[int]) -> list[Formula]:
+def formulas(scalars: Scalars, calls: list[Call], blocks: list[int], worth: float = WORTH) -> list[Formula]:
     """What the calls do alike on slices.
 
     Each expression is of one formula at most, and slices do not depend on each other within a call.
@@ -62,6 +62,7 @@ def formulas(scalars: Scalars, calls: list[Call], blocks: list[int]) -> list[For
         calls: In the order in which they were noted.
         blocks: Of each expression the stretch of the program that computes it, negative for none. Only what is of one
             stretch is put together.
+        worth: In place of `WORTH`.
     """
     found: list[Formula] = []
     place_of: dict[int, tuple[int, int]] = {}
@@ -72,8 +73,11 @@ def formulas(scalars: Scalars, calls: list[Call], blocks: list[int]) -> list[For
             continue
         better: list[_Attempt] = []
         for slices in _slices(call.result):
+            bound = better[-1].cost if better else worth * count
+            if count >= bound * len(slices[0]):  # of n slices at least an nth is left
+                continue
             attempt = _Attempt(scalars, call, blocks, place_of, tables)
-            if attempt.match(slices, count, better[-1].cost if better else WORTH * count):
+            if attempt.match(slices, count, bound):
                 better.append(attempt)
         best = next((attempt for attempt in reversed(better) if attempt.in_order()), None)
         if best is None:

@@ -32,8 +32,8 @@ FOLDED: dict[str, Callable[..., Constant]] = {
     "cos": math.cos,
     "floor": math.floor,
     # As lanes.hpp has them: what is not a number stays so.
-    "max": lambda a, b: a if a > b or a != a else b,
-    "min": lambda a, b: a if a < b or a != a else b,
+    "max": lambda a, b: b if b > a or b != b else a,
+    "min": lambda a, b: b if b < a or b != b else a,
     "lt": operator.lt,
     "le": operator.le,
     "eq": operator.eq,

@@ -115,5 +115,5 @@ class _Pulled(NativeFunction):
 
     def _plan(self, lanes: int, told: Fingerprint) -> Plan:
         with torch.inference_mode(False):
-            trace = traced(self._function.module, self._function.example, told.held, told.described)
+            trace = traced(self._function.module, self._function.example, told.held, told.described, shares=False)
         return Plan(transposed(trace), lanes, self._dtype, [])

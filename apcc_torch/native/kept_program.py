@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import ctypes
+import gc
 import json
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple, Self
 
@@ -67,7 +69,8 @@ def kept_program(told: Fingerprint, dtype: torch.dtype, planned: Callable[[], Pl
         if library is not None:
             return Program.of(loaded(library), numbers, dtype)
         damaged = known["library"]
-    plan = planned()
+    with _uncollected():
+        plan = planned()
     library, asked = _built(plan, damaged, what)
     program = Program.of(loaded(library), [plan.trace.scalars.number(index) for index in asked], dtype)
     if not told.lasting:
@@ -81,9 +84,22 @@ def kept_program(told: Fingerprint, dtype: torch.dtype, planned: Callable[[], Pl
     return program
 
 
+@contextmanager
+def _uncollected() -> Iterator[None]:
+    """Inside, Python looks for no cycles: among a hundred thousand expressions there are none, and it takes long."""
+    before = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if before:
+            gc.enable()
+
+
 def _built(plan: Plan, damaged: str, what: str) -> tuple[Path, list[int]]:
     """The library of a plan, and the expressions whose numbers it reads; built where it is not kept, or damaged."""
-    name = plan.name()
+    with _uncollected():
+        name = plan.name()
     file, table = kept_name(name, "so"), kept_name(name, "numbers")
     with alone():  # a sweep's workers ask for the same code at the same time
         library = None if file == damaged else kept(file)
@@ -91,7 +107,8 @@ def _built(plan: Plan, damaged: str, what: str) -> tuple[Path, list[int]]:
         if library is not None and listed is not None:
             return library, json.loads(listed.read_text(encoding="ascii"))
         log.info("building machine code for %s, once; it is kept in %s", what, cache_folder())
-        source = plan.source(os.cpu_count() or 1)
+        with _uncollected():
+            source = plan.source(os.cpu_count() or 1)
         library = built(source, file)
         keep(json.dumps(source.numbers).encode("ascii"), table)
     return library, source.numbers

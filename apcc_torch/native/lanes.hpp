@@ -34,9 +34,10 @@ static inline bool any(B x) {
 static inline REAL& lane(V& x, int w) { return reinterpret_cast<REAL*>(&x)[w]; }
 static inline INTEGER& lane_int(I& x, int w) { return reinterpret_cast<INTEGER*>(&x)[w]; }
 
-// What is not a number wins, as in torch.
-static inline V max_(V a, V b) { return ((a > b) | (a != a)) ? a : b; }
-static inline V min_(V a, V b) { return ((a < b) | (a != a)) ? a : b; }
+// What is not a number wins, as in torch. The second operand is the one that is asked: along a row the first is all that
+// came before, and a compiler takes the question apart down to its beginning.
+static inline V max_(V a, V b) { return ((b > a) | (b != b)) ? b : a; }
+static inline V min_(V a, V b) { return ((b < a) | (b != b)) ? b : a; }
 static inline I max_int(I a, I b) { return a > b ? a : b; }
 static inline I min_int(I a, I b) { return a < b ? a : b; }
 static inline V abs_(V a) { return a < 0 ? -a : a; }

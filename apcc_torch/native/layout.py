@@ -4,19 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from math import inf
 from typing import NamedTuple
 
 import torch
 
-from apcc_torch.native.alike import Places, memory, numbers, shared
+from apcc_torch.native.alike import WORTH, Places, memory, numbers, shared
 from apcc_torch.native.ordering import ordered
-from apcc_torch.native.scalars import BOOL, FLOAT, INT, Scalars
+from apcc_torch.native.scalars import BOOL, FLOAT, INT, Returned, Scalars
 from apcc_torch.native.series import Items, Rounds, Series, in_series, one_by_one
 from apcc_torch.native.trace import Leaf, Trace
 from apcc_torch.native.values import kind_of
 
 # A function of this many statements is still compiled in a time that grows in proportion.
-STATEMENTS = 1500
+STATEMENTS = 700
 ARRAY = {FLOAT: "v", INT: "i", BOOL: "b"}
 TYPE = {FLOAT: "V", INT: "I", BOOL: "B"}
 
@@ -60,13 +61,14 @@ class Part:
 
     number: In the order of the program. path: The loops in which it runs, the outermost first.
     statements: What it does. first: When it does the first of them; each takes one time.
-    begins: Loops whose state it sets at its end, as they begin. carries: The loop whose round ends with it.
+    begins: Loops whose state it sets at its end, as they begin, and routines with the number of the call.
+    carries: The loop whose round ends with it.
     """
 
     number: int
     path: tuple[int, ...]
     statements: list[Statement] = field(default_factory=list)
-    begins: list[int] = field(default_factory=list)
+    begins: list[tuple[int, int | None]] = field(default_factory=list)
     carries: int | None = None
     size: int = 0
     first: int = 0
@@ -79,7 +81,7 @@ class Part:
 
 @dataclass
 class Runs:
-    """Parts of a program that are run again and again."""
+    """Parts of a program that are run again and again, or of a routine that is called here."""
 
     loop: int
     body: list[Part | Runs]
@@ -90,7 +92,9 @@ class Layout:
     """A program in parts.
 
     places: Of each loop which scalars of its state count.
+    bodies: Of each loop and routine its parts.
     ends: Of each loop the part with which a round ends.
+    begun: Of each loop the part that begins it, of a routine those that do, in order, and `calls` the calls.
     part_of: Of each expression, and of what stands for a loop's state, the part that computes it.
     in_formula: Of what a series computes the number of its formula, and the slice.
     rows: What series read that is in no one memory otherwise.
@@ -101,7 +105,10 @@ class Layout:
     places: dict[int, list[int]]
     program: list[Part | Runs] = field(default_factory=list)
     parts: list[Part] = field(default_factory=list)
+    bodies: dict[int, list[Part | Runs]] = field(default_factory=dict)
     ends: dict[int, Part] = field(default_factory=dict)
+    begun: dict[int, list[Part]] = field(default_factory=dict)
+    calls: dict[int, list[int | None]] = field(default_factory=dict)
     part_of: dict[int, Part] = field(default_factory=dict)
     in_formula: dict[int, tuple[int, int]] = field(default_factory=dict)
     rows: set[Row] = field(default_factory=set)
@@ -114,9 +121,18 @@ class Layout:
         for part in self.parts:
             rounds = 1
             for loop in part.path:
-                rounds *= scalars.loops[loop].times
+                rounds *= scalars.loops[loop].times * len(self.begun[loop])
             total += rounds * sum(_work(statement) for statement in part.statements)
         return total
+
+    def until(self, loop: int) -> int:
+        """When it has run for the last time."""
+        return max(self.ends[loop].end, self.begun[loop][-1].end)
+
+    def overwritten(self, back: Returned) -> float:
+        """When the next call begins to overwrite what this one came to."""
+        later = self.begun[back.routine][self.calls[back.routine].index(back.call) + 1 :]
+        return later[0].end if later else inf
 
     def row(self, part: Part, operand: Places) -> Row | None:
         """The row that a series in a part reads an operand from, None where it is read from where it is."""
@@ -130,16 +146,17 @@ def kept_as(scalars: Scalars, index: int) -> int:
     return index if entry is None else scalars.loops[entry.loop].variables[entry.place]
 
 
-def laid_out(trace: Trace, together: bool = True) -> Layout:
+def laid_out(trace: Trace, worth: float = WORTH) -> Layout:
     """Only what the results need, in an order that keeps an operand near its use.
 
     Args:
         trace: What is computed.
-        together: What is alike on several slices is written once, in a loop over them.
+        worth: What is alike on several slices is written once, in a loop over them, where that leaves less than this
+            share of an operation's statements; 0 for nowhere.
     """
     scalars = trace.scalars
     block, needed = ordered(scalars, [index for row in trace.results for index in row])
-    items = in_series(trace, block, STATEMENTS) if together else one_by_one(block)
+    items = in_series(trace, block, STATEMENTS, worth) if worth else one_by_one(block)
     layout = Layout(needed)
     layout.program = _Division(layout, scalars).divided(items, ())
     if not isinstance(layout.program[-1], Part):
@@ -183,16 +200,14 @@ class _Division:
         pieces: list[Part | Runs] = [part := _part(layout, path)]
         for item in items:
             if isinstance(item, Rounds):
-                part.begins.append(item.loop)
-                variables = self.scalars.loops[item.loop].variables
-                layout.part_of.update((variables[k], part) for k in layout.places[item.loop])
-                inner = self.divided(item.body, (*path, item.loop))
-                last = inner[-1]
-                if not isinstance(last, Part):
-                    inner.append(last := _part(layout, (*path, item.loop)))
-                last.carries = item.loop
-                layout.ends[item.loop] = last
-                pieces += [Runs(item.loop, inner), part := _part(layout, path)]
+                part.begins.append((item.loop, item.call))
+                layout.begun.setdefault(item.loop, []).append(part)
+                layout.calls.setdefault(item.loop, []).append(item.call)
+                if item.body is not None:
+                    variables = self.scalars.loops[item.loop].variables
+                    layout.part_of.update((variables[k], part) for k in layout.places[item.loop])
+                    self._body(item.loop, item.body, (*path, item.loop))
+                pieces += [Runs(item.loop, layout.bodies[item.loop]), part := _part(layout, path)]
                 continue
             size = 1 if isinstance(item, int) else len(item.formulas)
             if part.statements and part.size + size > STATEMENTS:
@@ -204,6 +219,16 @@ class _Division:
                 self._series(item, part)
             part.statements.append(item)
         return pieces
+
+    def _body(self, loop: int, items: Items, path: tuple[int, ...]) -> None:
+        """Divides what a loop or a routine does."""
+        layout = self.layout
+        layout.bodies[loop] = inner = self.divided(items, path)
+        last = inner[-1]
+        if not isinstance(last, Part):
+            inner.append(last := _part(layout, path))
+        last.carries = loop
+        layout.ends[loop] = last
 
     def _series(self, series: Series, part: Part) -> None:
         """Has what a series reads in no one memory moved into a row before it."""

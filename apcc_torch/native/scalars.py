@@ -24,7 +24,7 @@ FLOAT, INT, BOOL = "f", "i", "b"
 class Expression(NamedTuple):
     """One operation on other expressions.
 
-    op: Name of the operation; "constant", "held", "input", "variable" and "outcome" have no operands.
+    op: Name of the operation; "constant", "held", "input", "variable", "outcome" and "returned" have no operands.
     operands: Indices of the operands.
     kind: FLOAT, INT or BOOL.
     value: What it comes to, where that is known now; of an input its number among those of its kind.
@@ -50,6 +50,14 @@ class Entry(NamedTuple):
     place: int
 
 
+class Returned(NamedTuple):
+    """A scalar that a call of a routine came to: the routine, the number of the call, and the place in the state."""
+
+    routine: int
+    call: int
+    place: int
+
+
 @dataclass
 class Loop:
     """Expressions that are computed again and again, on what they came to the time before.
@@ -57,7 +65,9 @@ class Loop:
     parent: The loop in which it runs, None for none. times: Most rounds.
     variables, initial, results, outcomes: Of each scalar of its state the expression that stands for it within the
         loop, the one it begins with, the one it goes on with, and the one that stands for it afterwards.
-    going: Place in the state of the truth value that asks for another round.
+    going: Place in the state of the truth value that asks for another round; None of a routine.
+    calls: Of a routine, which is run at several places, the expressions that each call hands in. Its state is what is
+        handed in and then what it comes to, which is read after each call; it has neither `initial` nor `outcomes`.
     """
 
     parent: int | None
@@ -67,6 +77,11 @@ class Loop:
     results: list[int] = field(default_factory=list)
     outcomes: list[int] = field(default_factory=list)
     going: int | None = None
+    calls: list[list[int]] = field(default_factory=list)
+
+    def begun(self, call: int | None) -> list[int]:
+        """What a run of it begins with: a routine's call of this number, None for a loop."""
+        return self.initial if call is None else self.calls[call]
 
 
 COMMUTATIVE = frozenset({"add", "mul", "eq", "ne", "and", "or"})
@@ -80,13 +95,14 @@ class Scalars:
         self.expressions: list[Expression] = []
         self.loops: list[Loop] = []
         self.entry_of: dict[int, Entry] = {}
+        self.returned_of: dict[int, Returned] = {}
         self.held_at: dict[int, Held] = {}
         self.decided: dict[tuple[str, tuple[int, ...]], Constant | None] = {}
         """What the form of the expressions was decided by: operations on held numbers that came to a constant, and to
         None where they had to be left to the machine."""
         self.loose: dict[int, float] = {}
         """By how much known numbers may be off in another arm of the same form; those that are not here, by nothing."""
-        self._known: dict[tuple[str, tuple[int, ...], str, str, str], int] = {}
+        self._known: dict[tuple[str, tuple[int, ...], str, str | None, str], int] = {}
 
     def __getitem__(self, index: int) -> Expression:
         return self.expressions[index]
@@ -94,7 +110,8 @@ class Scalars:
     def _add(
         self, op: str, operands: tuple[int, ...], kind: str, value: Constant | None = None, origin: str = ""
     ) -> int:
-        key = (op, operands, kind, repr(value), origin)  # repr tells 0.0 from -0.0, and NaN is itself
+        # repr tells 0.0 from -0.0, and NaN is itself
+        key = (op, operands, kind, value if value is None else repr(value), origin)
         index = self._known.get(key)
         if index is None:
             index = len(self.expressions)
@@ -133,6 +150,12 @@ class Scalars:
         self.entry_of[index] = Entry(loop, place)
         return index
 
+    def returned(self, at: Returned, kind: str) -> int:
+        """A scalar that a call of a routine came to."""
+        index = self._add("returned", (), kind, origin=f"{at.routine}.{at.call}.{at.place}")
+        self.returned_of[index] = at
+        return index
+
     def known(self, index: int) -> Constant | None:
         """What an expression comes to, None where that is not known now."""
         result = self.expressions[index]
@@ -144,10 +167,11 @@ class Scalars:
 
     def make(self, op: str, *operands: int) -> int:
         """The expression `op` of the operands, simplified."""
-        values = [self.known(i) for i in operands]
-        kind = BOOL if op in _TRUTH else FLOAT if op == "float" else INT if op == "int" else self[operands[-1]].kind
-        if op in FOLDED and None not in values:
-            plain = all(self[i].op == "constant" for i in operands)
+        given = [self.expressions[i] for i in operands]
+        values = [None if each.op == "input" else each.value for each in given]
+        kind = BOOL if op in _TRUTH else FLOAT if op == "float" else INT if op == "int" else given[-1].kind
+        if None not in values and op in FOLDED:
+            plain = all(each.op == "constant" for each in given)
             value, loose = folded(op, values, [self.loose.get(i, 0.0) for i in operands])
             if value is not None and not plain and kind == FLOAT and not (value == 0.0 and loose == 0.0):
                 index = self._add(op, operands, kind, float(value))
@@ -157,7 +181,7 @@ class Scalars:
             if not plain:
                 self.decided[op, operands] = self[index].value
             return index
-        shaping = [self[i].value if self[i].op == "constant" else None for i in operands]
+        shaping = [each.value if each.op == "constant" else None for each in given]
         simpler = self._simplified(op, operands, shaping)
         if simpler is not None:
             return simpler

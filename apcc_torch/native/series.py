@@ -27,32 +27,38 @@ Items = list["int | Series | Rounds"]
 
 @dataclass(frozen=True)
 class Rounds:
-    """A loop of the program that is run, with its body."""
+    """A loop of the program that is run, or a routine that is called: as `ordering.Run`."""
 
     loop: int
-    body: Items
+    body: Items | None
+    call: int | None
 
 
-def in_series(trace: Trace, block: Block, most: int) -> Items:
-    """A program's block with its formulas in series of at most so many."""
+def in_series(trace: Trace, block: Block, most: int, worth: float) -> Items:
+    """A program's block with its formulas in series of at most so many, where that is `worth` it; see `alike.WORTH`."""
     blocks = [-1] * len(trace.scalars.expressions)
     _number(block, blocks, 0)
     by_block: dict[int, list[Formula]] = {}
-    for formula in formulas(trace.scalars, trace.calls, blocks):
+    for formula in formulas(trace.scalars, trace.calls, blocks, worth):
         by_block.setdefault(blocks[formula.results[0]], []).append(formula)
     return _rewritten(trace.scalars, block, blocks, by_block, most)
 
 
 def one_by_one(block: Block) -> Items:
     """A program's block as it is."""
-    return [Rounds(item.loop, one_by_one(item.body)) if isinstance(item, Run) else item for item in block]
+    return [
+        Rounds(item.loop, None if item.body is None else one_by_one(item.body), item.call)
+        if isinstance(item, Run)
+        else item
+        for item in block
+    ]
 
 
 def _number(block: Block, blocks: list[int], number: int) -> int:
     """Numbers the stretches of a program that no loop interrupts, and returns the next number."""
     for item in block:
         if isinstance(item, Run):
-            number = _number(item.body, blocks, number + 1) + 1
+            number = _number(item.body or [], blocks, number + 1) + 1
         else:
             blocks[item] = number
     return number
@@ -72,7 +78,8 @@ def _rewritten(
     for item in block:
         if isinstance(item, Run):
             end()
-            items.append(Rounds(item.loop, _rewritten(scalars, item.body, blocks, by_block, most)))
+            body = None if item.body is None else _rewritten(scalars, item.body, blocks, by_block, most)
+            items.append(Rounds(item.loop, body, item.call))
         else:
             stretch.append(item)
     end()

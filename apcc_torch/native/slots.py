@@ -19,10 +19,12 @@ class Slots:
 
     of: Of an expression its slot among those of its kind, of a row its first.
     sizes: How many slots there are of each kind.
+    left: What routines came to that is read from where they left it, for they are not called before it is read last.
     """
 
     of: dict[Kept, int] = field(default_factory=dict)
     sizes: dict[str, int] = field(default_factory=lambda: {FLOAT: 1, INT: 1, BOOL: 1})
+    left: set[int] = field(default_factory=set)
 
 
 def slots(layout: Layout, trace: Trace) -> Slots:
@@ -46,9 +48,11 @@ class _Uses:
         for part in layout.parts:
             for time, statement in enumerate(part.statements, part.first):
                 self._statement(statement, part, time)
-            for loop in part.begins:
+            for loop, call in part.begins:
+                given = scalars.loops[loop].begun(call)
                 for k in layout.places[loop]:
-                    self._used(scalars.loops[loop].initial[k], part, part.end)
+                    if k < len(given):
+                        self._used(given[k], part, part.end)
             if part.carries is not None:
                 for k in layout.places[part.carries]:
                     self._used(scalars.loops[part.carries].results[k], part, part.end)
@@ -81,7 +85,7 @@ class _Uses:
         if home is None:
             return
         deeper = part.path[len(home.path) :]
-        self._until(keeper, self.layout.ends[deeper[0]].end if deeper else time)
+        self._until(keeper, self.layout.until(deeper[0]) if deeper else time)
 
     def _until(self, kept: Kept, time: int) -> None:
         self._last[kept] = max(time, self._last.get(kept, 0))
@@ -95,23 +99,39 @@ class _Allocation:
         self.scalars = scalars
         self.last = last
         self.slots = Slots()
-        self.free: dict[tuple[str, int], list[int]] = {}
-        self.ending: dict[int, list[tuple[str, int, int]]] = {}
+        # By routine: what it computes is in memory of its own, whoever calls it.
+        self.free: dict[tuple[int | None, str, int], list[int]] = {}
+        self.ending: dict[int, list[tuple[tuple[int | None, str, int], int]]] = {}
+        self.within: int | None = None
+        # What a routine comes to lies where its callers read it.
+        self.outcome = {
+            (number, loop.results[k]): loop.variables[k]
+            for number, loop in enumerate(scalars.loops)
+            if loop.calls
+            for k in layout.places.get(number, ())
+            if k >= len(loop.calls[0])
+        }
 
     def run(self) -> None:
+        loops = self.scalars.loops
         for part in self.layout.parts:
+            self.within = next((loop for loop in reversed(part.path) if loops[loop].calls), None)
             for time, statement in enumerate(part.statements, part.first):
                 self._release(time)
                 self._statement(statement, part, time)
             self._release(part.end)
-            for loop in part.begins:
-                for k in self.layout.places[loop]:
-                    self._place(self.scalars.loops[loop].variables[k], part.end)
+            for loop, _ in part.begins:
+                for variable in (loops[loop].variables[k] for k in self.layout.places[loop]):
+                    if not loops[loop].calls:
+                        self._place(variable, part.end)
+                    elif variable not in self.slots.of:  # a later call finds it where it is
+                        kind = self.scalars[variable].kind
+                        self.slots.of[variable] = self._fresh((loop, kind, 1))
 
     def _release(self, time: int) -> None:
         """Frees what was read for the last time before."""
-        for kind, size, slot in self.ending.pop(time - 1, ()):
-            self.free.setdefault((kind, size), []).append(slot)
+        for whose, slot in self.ending.pop(time - 1, ()):
+            self.free.setdefault(whose, []).append(slot)
 
     def _statement(self, statement: Statement, part: Part, time: int) -> None:
         if isinstance(statement, Move):
@@ -126,7 +146,13 @@ class _Allocation:
         else:
             for row, _ in self.layout.moved.get(statement, ()):
                 self._row(row)
-            if statement in self.layout.read or self.last.get(statement, time) > part.end:
+            back, own = self.scalars.returned_of.get(statement), (part.path[-1] if part.path else None, statement)
+            if back is not None and self.last.get(statement, time) <= self.layout.overwritten(back):
+                self.slots.of[statement] = self.slots.of[self.scalars.loops[back.routine].variables[back.place]]
+                self.slots.left.add(statement)
+            elif back is None and own in self.outcome:
+                self.slots.of[statement] = self.slots.of[self.outcome[own]]
+            elif statement in self.layout.read or self.last.get(statement, time) > part.end:
                 self._place(statement, time)
 
     def _row(self, row: Row) -> None:
@@ -138,11 +164,13 @@ class _Allocation:
         self.slots.of[index] = self._slot(self.scalars[index].kind, 1, self.last.get(index, time))
 
     def _slot(self, kind: str, size: int, until: int) -> int:
-        self.ending.setdefault(until, []).append((kind, size, slot := self._fresh(kind, size)))
+        whose = self.within, kind, size
+        self.ending.setdefault(until, []).append((whose, slot := self._fresh(whose)))
         return slot
 
-    def _fresh(self, kind: str, size: int) -> int:
-        free = self.free.get((kind, size))
+    def _fresh(self, whose: tuple[int | None, str, int]) -> int:
+        _, kind, size = whose
+        free = self.free.get(whose)
         if free:
             return free.pop()
         slot = self.slots.sizes[kind]

@@ -9,12 +9,15 @@ from typing import NamedTuple
 
 import torch
 
+from apcc_torch.native.alike import WORTH
 from apcc_torch.native.code import package_code
 from apcc_torch.native.driver import driver
 from apcc_torch.native.scalars import Expression
 from apcc_torch.native.statements import body, is_form
 from apcc_torch.native.trace import Trace
 
+# Lanes have enough to do, and are worth the room: in loops over slices they are slower, unless these are many.
+_WORTH_OF_LANES = 0.25
 _THREADS = "".join(f"#include <{name}>\n" for name in ("atomic", "chrono", "thread", "vector"))
 
 
@@ -64,7 +67,16 @@ class Plan(NamedTuple):
         trace, scalars = self.trace, self.trace.scalars
         digest = hashlib.sha256(package_code("native"))
         for told in (
-            (self.lanes, self.dtype, self.carried, trace.inputs, trace.outputs, trace.results, scalars.entry_of),
+            (
+                self.lanes,
+                self.dtype,
+                self.carried,
+                trace.inputs,
+                trace.outputs,
+                trace.results,
+                scalars.entry_of,
+                scalars.returned_of,
+            ),
             scalars.loops,
             [(call.first, call.last, call.result.tolist()) for call in trace.calls],
             [(*expression[:3], _told(expression)) for expression in scalars.expressions],
@@ -74,15 +86,15 @@ class Plan(NamedTuple):
 
     def source(self, files_wanted: int) -> Source:
         """Its text, spread over so many files at most."""
-        # Lanes have enough to do, and are worth the room.
-        made = body(self.trace, together=self.lanes == 1)
+        made = body(self.trace, WORTH if self.lanes == 1 else _WORTH_OF_LANES)
         # Before the settings, whose names a header may use as well.
         header = f"{_THREADS}{prologue(self.lanes, self.dtype)}\n{made.structs}"
-        groups: list[list[str]] = [[] for _ in range(max(1, min(files_wanted, len(made.functions))))]
-        for k, text in enumerate(made.functions):
-            groups[k % len(groups)].append(text)
-        groups[0].append(driver(self.trace, len(made.functions), made.calls, self.carried))
-        return Source(header, ["\n".join(group) for group in groups], self.lanes, made.numbers)
+        texts = [*made.functions, driver(self.trace, len(made.functions), made.calls, self.carried)]
+        groups: list[list[int]] = [[] for _ in range(min(files_wanted, len(texts)))]
+        for k in sorted(range(len(texts)), key=lambda k: -len(texts[k])):  # files of one size are done together
+            min(groups, key=lambda group: sum(len(texts[i]) for i in group)).append(k)
+        parts = ["\n".join(texts[k] for k in sorted(group)) for group in groups]
+        return Source(header, parts, self.lanes, made.numbers)
 
 
 def _told(expression: Expression) -> str:

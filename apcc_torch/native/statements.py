@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from apcc_torch.native.alike import INPUTS, NUMBERS, OUTPUTS, SCRATCH, Places, evenly, shared
+from apcc_torch.native.alike import INPUTS, NUMBERS, OUTPUTS, SCRATCH, WORTH, Places, evenly, shared
 from apcc_torch.native.layout import ARRAY, TYPE, Layout, Move, Part, Row, Runs, kept_as, laid_out, places
 from apcc_torch.native.scalars import BOOL, FLOAT, INT, Expression, Loop
 from apcc_torch.native.series import Series
@@ -42,14 +42,14 @@ class Body:
     numbers: list[int]
 
 
-def body(trace: Trace, together: bool = True) -> Body:
+def body(trace: Trace, worth: float = WORTH) -> Body:
     """The statements of a trace, to stand behind `prologue`.
 
     Args:
         trace: From `traced`.
-        together: See `laid_out`.
+        worth: See `laid_out`.
     """
-    layout = laid_out(trace, together)
+    layout = laid_out(trace, worth)
     writer = _Writer(trace, layout)
     functions = [writer.part(part) for part in layout.parts]
     return Body(writer.structs(), functions, writer.calls(layout.program), writer.numbers)
@@ -101,6 +101,9 @@ class _Writer:
                 lines.append(f"part_{item.number}({INPUTS}, numbers, {SCRATCH}, {OUTPUTS});")
                 continue
             loop = self.scalars.loops[item.loop]
+            if loop.calls:
+                lines += self.calls(item.body)
+                continue
             more = f"any({self._slot(loop.variables[loop.going or 0])})"
             lines.append(f"for (int n{item.loop} = 0; n{item.loop} < {loop.times} && {more}; ++n{item.loop}) {{")
             lines += [f"    {line}" for line in self.calls(item.body)]
@@ -110,6 +113,7 @@ class _Writer:
     def part(self, part: Part) -> str:
         """One function: its share of the statements."""
         lines = [f"__attribute__((noinline)) {_SIGNATURE.format(part.number)} {{"]
+        self._handed_early(part)
         for statement in part.statements:
             if isinstance(statement, Series):
                 lines += self._series(statement, part)
@@ -119,9 +123,9 @@ class _Writer:
                 )
             else:
                 lines += self._single(statement, part)
-        for number in part.begins:
+        for number, call in part.begins:
             loop = self.scalars.loops[number]
-            lines += self._handed_on(number, loop, loop.initial, part)
+            lines += self._handed_on(number, loop, loop.begun(call), part)
         if part.carries is not None:
             loop = self.scalars.loops[part.carries]
             lines += self._handed_on(part.carries, loop, loop.results, part)
@@ -131,12 +135,19 @@ class _Writer:
 
     def _single(self, index: int, part: Part) -> list[str]:
         """An expression by itself, and where it goes."""
+        rows = [self._in_row(row, place) for row, place in self.layout.moved.get(index, ())]
         expression, name = self.expressions[index], self._named[index]
-        formula = self._formula(expression, [self._written(i, part) for i in expression.operands])
+        if index in self.scalars.returned_of:
+            back = self.scalars.returned_of[index]
+            formula = self._slot(self.scalars.loops[back.routine].variables[back.place])
+        else:
+            formula = self._formula(expression, [self._written(i, part) for i in expression.operands])
         targets = [*self.targets.get(index, ())]
+        if index in self.slots.left:
+            return [f"{target} = {formula};" for target in [*targets, *rows]]
         if index in self.slots.of:
             targets.append(self._slot(index))
-        targets += [self._in_row(row, place) for row, place in self.layout.moved.get(index, ())]
+        targets += rows
         return [f"const {TYPE[expression.kind]} {name} = {formula};", *(f"{target} = {name};" for target in targets)]
 
     def _series(self, series: Series, part: Part) -> list[str]:
@@ -188,18 +199,39 @@ class _Writer:
         """A loop's state becomes these values: all are read before one is written."""
         read, written = [], []
         for k in self.layout.places[number]:
-            if values[k] != loop.variables[k]:
-                kind = self.expressions[loop.variables[k]].kind
-                read.append(f"const {TYPE[kind]} next{number}_{k} = {self._splatted(values[k], part)};")
-                written.append(f"{self._slot(loop.variables[k])} = next{number}_{k};")
+            if k < len(values) and values[k] != loop.variables[k]:
+                kind, target = self.expressions[loop.variables[k]].kind, self._slot(loop.variables[k])
+                if not loop.calls:
+                    read.append(f"const {TYPE[kind]} next{number}_{k} = {self._splatted(values[k], part)};")
+                    written.append(f"{target} = next{number}_{k};")
+                elif target not in self.targets.get(values[k], ()) and target != self._name(values[k], part):
+                    # What a routine is handed and what it comes to lie apart: nothing is overwritten that is read.
+                    written.append(f"{target} = {self._splatted(values[k], part)};")
         return read + written
+
+    def _handed_early(self, part: Part) -> None:
+        """Has what a part hands to routines put there as soon as it is computed, while it is at hand."""
+        for number, call in part.begins:
+            loop = self.scalars.loops[number]
+            if call is not None:
+                for k in self.layout.places[number]:
+                    given = loop.calls[call]
+                    if k < len(given) and self._computed(given[k], part):
+                        self.targets.setdefault(given[k], []).append(self._slot(loop.variables[k]))
+
+    def _computed(self, index: int, part: Part) -> bool:
+        """Whether a part has this statement by itself."""
+        apart = index in self.scalars.entry_of or index in self.layout.in_formula or index in self.slots.left
+        return not apart and self.layout.part_of.get(index) is part
 
     def _slot(self, index: int) -> str:
         return _at(SCRATCH, self.expressions[index].kind, self.slots.of[index])
 
     def _written(self, index: int, part: Part) -> tuple[str, str]:
         """An operand as it stands beside others, and as it stands alone, where a number has to fill all lanes."""
-        return self._name(index, part), self._splatted(index, part)
+        expression, name = self.expressions[index], self._name(index, part)
+        plain = expression.value is not None and expression.op != "input"
+        return name, f"{_SPLAT[expression.kind]}({name})" if plain else name
 
     def _formula(self, expression: Expression, operands: list[tuple[str, str]]) -> str:
         op = expression.op
@@ -222,8 +254,7 @@ class _Writer:
             return _literal(expression)
         if expression.value is not None:
             return self._number(index)
-        apart = index in self.scalars.entry_of or index in self.layout.in_formula
-        if not apart and self.layout.part_of[index] is part:
+        if self._computed(index, part):
             return self._named[index]
         return self._slot(kept_as(self.scalars, index))
 
@@ -241,10 +272,7 @@ class _Writer:
         return self._row_of[places]
 
     def _splatted(self, index: int, part: Part) -> str:
-        expression = self.expressions[index]
-        name = self._name(index, part)
-        plain = expression.value is not None and expression.op != "input"
-        return f"{_SPLAT[expression.kind]}({name})" if plain else name
+        return self._written(index, part)[1]
 
 
 def _at(memory: str, kind: str, place: int | str) -> str:

@@ -15,6 +15,7 @@ from apcc_torch.native.alike import Call
 from apcc_torch.native.loops import looped
 from apcc_torch.native.operators import MOVES, OPERATORS
 from apcc_torch.native.reads import reads_of
+from apcc_torch.native.routines import Routines
 from apcc_torch.native.scalars import BOOL, FLOAT, INT, Scalars
 from apcc_torch.native.structure import flattened, rebuilt
 from apcc_torch.native.symbol import Symbol, at_example, symbol
@@ -58,7 +59,11 @@ class Trace(NamedTuple):
 
 
 def traced(
-    function: Function, example: tuple[Any, ...], held: Sequence[Tensor] = (), described: Sequence[Settings] = ()
+    function: Function,
+    example: tuple[Any, ...],
+    held: Sequence[Tensor] = (),
+    described: Sequence[Settings] = (),
+    shares: bool = True,
 ) -> Trace:
     """Traces `function` at one row of arguments; what it holds is taken as constant.
 
@@ -67,11 +72,12 @@ def traced(
         example: One row of arguments, without batch dimensions.
         held: Tensors that the function holds; `Scalars.held_at` has their numbers in this order.
         described: Settings that it holds, which are of account where it reads them.
+        shares: Whether what it shares is written once, as `repetition.shared` has it, or at every place.
 
     Raises:
         CompileError: It cannot be traced, or uses an operation that is not in the table.
     """
-    recorder = Recorder(held)
+    recorder = Recorder(held, shares)
     # Each argument a tensor of its own: two that are one tensor here may be two at a call.
     given = [leaf.detach().clone() for leaf in flattened(example)]
     inputs = [Leaf(tuple(leaf.shape), leaf.dtype) for leaf in given]
@@ -83,7 +89,7 @@ def traced(
             _compiling(),
             Whole(recorder),
             recorder,
-            recorded_by(recorder.repeated),
+            recorded_by(recorder),
         ):
             returned = function(*rebuilt(example, iter(symbols)))
     except CompileError:
@@ -112,11 +118,12 @@ def _compiling() -> Iterator[None]:
 class Recorder(TorchDispatchMode):
     """Runs each of torch's operations on scalar expressions too.
 
-    held: See `traced`. inside: Whether an operation of its own is done, which is not noted.
+    held, shares: See `traced`. inside: Whether an operation of its own is done, which is not noted.
     """
 
-    def __init__(self, held: Sequence[Tensor] = ()) -> None:
+    def __init__(self, held: Sequence[Tensor] = (), shares: bool = True) -> None:
         super().__init__()
+        self._routines = Routines(self) if shares else None
         self.arithmetic = Arithmetic()
         self.calls: list[Call] = []
         self._numbers = {id(tensor): number for number, tensor in enumerate(held)}
@@ -172,6 +179,13 @@ class Recorder(TorchDispatchMode):
         begun = going(state)
         with self._noting(False):
             return looped(self, body, state, times, going, begun)
+
+    def shared(self, function: Function, args: tuple[Any, ...]) -> Any:
+        """As `repetition.shared`."""
+        if self._routines is None:
+            return function(*args)
+        with self._noting(False):
+            return self._routines.called(function, args, tuple(self._loops))
 
     def symbols(self, like: list[Tensor], values: list[Value], indices: list[int]) -> list[Symbol]:
         """Tensors of the same forms, of these expressions one after the other."""

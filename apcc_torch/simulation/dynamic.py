@@ -23,6 +23,7 @@ from apcc_torch.model.abscissae import decouple
 from apcc_torch.model.curvature import curvature_weights, middle_curvature
 from apcc_torch.native.compiled import MODES, Step, compiled
 from apcc_torch.part import Part, hold_rows, refuse_parameter, untrained
+from apcc_torch.repetition import shared
 from apcc_torch.settings import OURS, Settings, setting
 from apcc_torch.simulation.plant import Plant
 from apcc_torch.simulation.plant_state import PlantState
@@ -234,7 +235,7 @@ class ClosedLoop(Part):
         )
         for i in range(plant.substeps):
             reference = self._reference(now, y, (i + 1) / plant.substeps, *told)
-            arm = plant.advance(arm, reference, self.period / plant.substeps, k)
+            arm = shared(plant.advance, arm, reference, self.period / plant.substeps, k)
         measured = None
         if now.u is not None:
             measured = plant.forces(arm, self._reference(now, y, 1.0, *told))
