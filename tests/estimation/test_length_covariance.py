@@ -53,7 +53,9 @@ def test_of_little_scatter_it_is_that_of_the_slopes() -> None:
     P, step = scatter(2, 1e-6), 1e-5
     columns = []
     for direction in step * torch.eye(7, dtype=D):
-        ahead, behind = (fitted(feedback, moved(feedback, state, way * direction), q, pi)[:, 2::3] for way in (1.0, -1.0))
+        ahead, behind = (
+            fitted(feedback, moved(feedback, state, way * direction), q, pi)[:, 2::3] for way in (1.0, -1.0)
+        )
         columns.append((ahead - behind) / (2.0 * step))
     J = torch.stack(columns, -1)
     found = length_covariance(feedback, state, q, pi, P)
