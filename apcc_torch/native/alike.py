@@ -52,7 +52,7 @@ def shared(places: Places) -> bool:
     return places.count(places[0]) == len(places)
 
 
-def formulas(scalars: Scalars, calls: list[Call], blocks: list[int], worth: float = WORTH) -> list[Formula]:
+def formulas(scalars: Scalars, calls: list[Call], blocks: list[int]) -> list[Formula]:
     """What the calls do alike on slices.
 
     Each expression is of one formula at most, and slices do not depend on each other within a call.
@@ -62,7 +62,6 @@ def formulas(scalars: Scalars, calls: list[Call], blocks: list[int], worth: floa
         calls: In the order in which they were noted.
         blocks: Of each expression the stretch of the program that computes it, negative for none. Only what is of one
             stretch is put together.
-        worth: In place of `WORTH`.
     """
     found: list[Formula] = []
     place_of: dict[int, tuple[int, int]] = {}
@@ -73,7 +72,7 @@ def formulas(scalars: Scalars, calls: list[Call], blocks: list[int], worth: floa
             continue
         better: list[_Attempt] = []
         for slices in _slices(call.result):
-            bound = better[-1].cost if better else worth * count
+            bound = better[-1].cost if better else WORTH * count
             if count >= bound * len(slices[0]):  # of n slices at least an nth is left
                 continue
             attempt = _Attempt(scalars, call, blocks, place_of, tables)

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import torch
 
-from apcc_torch.native.alike import WORTH, Places, memory, numbers, shared
+from apcc_torch.native.alike import Places, memory, numbers, shared
 from apcc_torch.native.ordering import ordered
 from apcc_torch.native.scalars import BOOL, FLOAT, INT, Returned, Scalars
 from apcc_torch.native.series import Items, Rounds, Series, in_series, one_by_one
@@ -146,17 +146,16 @@ def kept_as(scalars: Scalars, index: int) -> int:
     return index if entry is None else scalars.loops[entry.loop].variables[entry.place]
 
 
-def laid_out(trace: Trace, worth: float = WORTH) -> Layout:
+def laid_out(trace: Trace, together: bool = True) -> Layout:
     """Only what the results need, in an order that keeps an operand near its use.
 
     Args:
         trace: What is computed.
-        worth: What is alike on several slices is written once, in a loop over them, where that leaves less than this
-            share of an operation's statements; 0 for nowhere.
+        together: What is alike on several slices is written once, in a loop over them.
     """
     scalars = trace.scalars
     block, needed = ordered(scalars, [index for row in trace.results for index in row])
-    items = in_series(trace, block, STATEMENTS, worth) if worth else one_by_one(block)
+    items = in_series(trace, block, STATEMENTS) if together else one_by_one(block)
     layout = Layout(needed)
     layout.program = _Division(layout, scalars).divided(items, ())
     if not isinstance(layout.program[-1], Part):

@@ -34,12 +34,12 @@ class Rounds:
     call: int | None
 
 
-def in_series(trace: Trace, block: Block, most: int, worth: float) -> Items:
-    """A program's block with its formulas in series of at most so many, where that is `worth` it; see `alike.WORTH`."""
+def in_series(trace: Trace, block: Block, most: int) -> Items:
+    """A program's block with its formulas in series of at most so many."""
     blocks = [-1] * len(trace.scalars.expressions)
     _number(block, blocks, 0)
     by_block: dict[int, list[Formula]] = {}
-    for formula in formulas(trace.scalars, trace.calls, blocks, worth):
+    for formula in formulas(trace.scalars, trace.calls, blocks):
         by_block.setdefault(blocks[formula.results[0]], []).append(formula)
     return _rewritten(trace.scalars, block, blocks, by_block, most)
 

@@ -9,15 +9,12 @@ from typing import NamedTuple
 
 import torch
 
-from apcc_torch.native.alike import WORTH
 from apcc_torch.native.code import package_code
 from apcc_torch.native.driver import driver
 from apcc_torch.native.scalars import Expression
 from apcc_torch.native.statements import body, is_form
 from apcc_torch.native.trace import Trace
 
-# Lanes have enough to do, and are worth the room: in loops over slices they are slower, unless these are many.
-_WORTH_OF_LANES = 0.25
 _THREADS = "".join(f"#include <{name}>\n" for name in ("atomic", "chrono", "thread", "vector"))
 
 
@@ -86,7 +83,8 @@ class Plan(NamedTuple):
 
     def source(self, files_wanted: int) -> Source:
         """Its text, spread over so many files at most."""
-        made = body(self.trace, WORTH if self.lanes == 1 else _WORTH_OF_LANES)
+        # Lanes have enough to do, and are worth the room: in loops over slices they are slower.
+        made = body(self.trace, together=self.lanes == 1)
         # Before the settings, whose names a header may use as well.
         header = f"{_THREADS}{prologue(self.lanes, self.dtype)}\n{made.structs}"
         texts = [*made.functions, driver(self.trace, len(made.functions), made.calls, self.carried)]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from apcc_torch.native.alike import INPUTS, NUMBERS, OUTPUTS, SCRATCH, WORTH, Places, evenly, shared
+from apcc_torch.native.alike import INPUTS, NUMBERS, OUTPUTS, SCRATCH, Places, evenly, shared
 from apcc_torch.native.layout import ARRAY, TYPE, Layout, Move, Part, Row, Runs, kept_as, laid_out, places
 from apcc_torch.native.scalars import BOOL, FLOAT, INT, Expression, Loop
 from apcc_torch.native.series import Series
@@ -42,14 +42,14 @@ class Body:
     numbers: list[int]
 
 
-def body(trace: Trace, worth: float = WORTH) -> Body:
+def body(trace: Trace, together: bool = True) -> Body:
     """The statements of a trace, to stand behind `prologue`.
 
     Args:
         trace: From `traced`.
-        worth: See `laid_out`.
+        together: See `laid_out`.
     """
-    layout = laid_out(trace, worth)
+    layout = laid_out(trace, together)
     writer = _Writer(trace, layout)
     functions = [writer.part(part) for part in layout.parts]
     return Body(writer.structs(), functions, writer.calls(layout.program), writer.numbers)

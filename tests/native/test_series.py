@@ -92,7 +92,7 @@ def test_it_is_as_exact_as_one_statement_after_the_other(monkeypatch: pytest.Mon
     given = example[0] * 1.3, ~example[1]
     together = NativeFunction(module, example)(*given)
     whole = source.body
-    monkeypatch.setattr(source, "body", lambda trace, worth: whole(trace, worth=0.0))
+    monkeypatch.setattr(source, "body", lambda trace, together: whole(trace, together=False))
     monkeypatch.setenv("APCC_CACHE", str(tmp_path))
     apart = NativeFunction(module, example)(*given)
     assert all(torch.equal(a, b) for a, b in zip(together, apart, strict=True))
@@ -113,7 +113,7 @@ def _weighed(a: Tensor, b: Tensor) -> Tensor:
 @pytest.mark.parametrize(("function", "least"), [(_product, 6), (_sums, 30), (_weighed, 6)])
 def test_sections_are_written_once(function: Callable[[Tensor, Tensor], Tensor], least: int) -> None:
     trace = traced(function, (normal(6, 6, 6), normal(6, 6, 6)))
-    few, many = laid_out(trace), laid_out(trace, worth=0.0)
+    few, many = laid_out(trace), laid_out(trace, together=False)
     assert not series(many) and least * statements(few) < statements(many)
     assert few.operations(trace.scalars) == many.operations(trace.scalars)
 
