@@ -47,7 +47,7 @@ class IdentifiedPosterior(AffinePosterior):
     def fit(self, train: Frames) -> None:
         """See `Method.fit`."""
         found = identification(self.known, train)
-        self.values = {name: value.detach() for name, value in self.known.parameters.values(found.z).items()}
+        self.values = self.known.values(found)
         self.arm = TendonArm(self.known.arm)
         candidates = [self.identified_sections()]
         if self.arm.at_tips and list(self.arm.section) == list(range(len(candidates[0].lengths))):

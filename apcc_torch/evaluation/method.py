@@ -68,6 +68,10 @@ class Known:
             self.fits[key] = made()
         return self.fits[key]
 
+    def values(self, found: Fit) -> dict[str, Tensor]:
+        """What a fit of the arm found, without gradient."""
+        return {name: value.detach() for name, value in self.parameters.values(found.z).items()}
+
     def some(self, frames: Frames) -> Frames:
         """Those of the moments that a fit of the arm sees."""
         return frames.at(thinned(torch.arange(len(frames)), self.samples))

@@ -59,7 +59,7 @@ class ShapeIdentified(ShapeAsBuilt):
     def fit(self, train: Frames) -> None:
         """See `Method.fit`."""
         found = identification(self.known, train)
-        self.values = {name: value.detach() for name, value in self.known.parameters.values(found.z).items()}
+        self.values = self.known.values(found)
         arm, calibrated = identified_arm(self.known.arm, self.values), self.known.calibration
         self.tendons, settings = TendonArm(self.known.arm), ShapeLawSettings(load_rate=RESTING)
         self.B = self.tendons.matrix(self.values)

@@ -31,4 +31,4 @@ def identified_by(known: Known, others: Frames, found: Fit) -> Values:
     again = known.shared("identified without a stretch", some, lambda: fit(
         TendonArm(known.arm), known.parameters, some.drive, some.positions, settings, found.z
     ))  # fmt: skip
-    return {name: value.detach() for name, value in known.parameters.values(again.z).items()}
+    return known.values(again)
